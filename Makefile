@@ -63,7 +63,7 @@ test-slow: setup-dev gl meshes test-programs ## run the rest: the slow ones, and
 
 # Each client has an environment of its own in .venv-clients, made once. What was found lies in out/clients.jsonl, from which
 # `python -m tests.clients.table` brings the table in docs/clients.md up to date.
-test-clients: setup-dev gl meshes ## run programs of others on what yamsim writes: those that install in a minute
+test-clients: setup-dev gl meshes ## run programs of others on what yamsim writes: those that install in a minute; some from checkouts in $YAMSIM_MAKER and $YAMSIM_ABC
 	rm -f out/clients.jsonl
 	$(PYTHON_BIN) -m pytest -n auto --dist worksteal -m client $(PYTEST_ARGS)
 
@@ -81,6 +81,7 @@ golden-update: setup-dev gl ## make today's pictures the golden ones: look at ea
 pictures: setup-dev gl meshes ## draw the rendered pictures of README and docs again: look at each before committing
 	$(PYTHON_BIN) -m tools.page_pictures
 	$(PYTHON_BIN) -m tools.task_pictures
+	$(PYTHON_BIN) -m tools.camera_pictures
 	$(PYTHON_BIN) -m tools.kitchen_sheet
 
 lint: setup-dev ## check style and format

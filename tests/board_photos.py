@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from yamsim_cli.camera_effects.lens_distortion import project_points, viewing_ray_grid
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector, rotation_vector
 from yamsim_cli.core.images.board_image import board_image, marker_cells
-from yamsim_cli.photos.lens_distortion import project_points, viewing_ray_grid
 
 Photo = NDArray[np.uint8]
 

@@ -8,10 +8,10 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
+from yamsim_cli.camera_effects.lens_distortion import project_points, viewing_rays
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.photos.lens_distortion import project_points, viewing_rays
 
 Grey = np.ndarray
 # (random generator, grey picture (height, width), camera, board, its pose (4, 4) in the camera frame) -> damaged

@@ -36,6 +36,7 @@ _CONFIGS: dict[str, Any] = {
     "arm": "right",
     "action": "drives",
     "shadow_reach_m": 0.8,
+    "smooth_shadows": False,
     "arms": "all",
     "grasps": ["contact"],
     "held_at_the_end": False,

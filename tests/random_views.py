@@ -10,11 +10,11 @@ import numpy as np
 
 from tests.board_photos import Photo, picture
 from tests.truth_photos import camera_pose
+from yamsim_cli.camera_effects.lens_distortion import project_points
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, invert_pose
-from yamsim_cli.photos.lens_distortion import project_points
 
 # Webcams at VGA to phones of 12 megapixels.
 SIZES = ((640, 480), (1280, 720), (1920, 1080), (4032, 3024))

@@ -15,9 +15,9 @@ def container(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "groups/job/step").mkdir(parents=True)
     (tmp_path / "membership").write_text("0::/job/step\n")
     (tmp_path / "meminfo").write_text("MemTotal: 32000000 kB\nMemAvailable:   20000000 kB\n")
-    monkeypatch.setattr(machine, "CGROUPS", tmp_path / "groups")
-    monkeypatch.setattr(machine, "MEMBERSHIP", tmp_path / "membership")
-    monkeypatch.setattr(machine, "MEMINFO", tmp_path / "meminfo")
+    monkeypatch.setattr(machine, "CGROUP_FOLDER", tmp_path / "groups")
+    monkeypatch.setattr(machine, "CGROUP_MEMBERSHIP_FILE", tmp_path / "membership")
+    monkeypatch.setattr(machine, "MEMINFO_FILE", tmp_path / "meminfo")
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(8)), raising=False)
     return tmp_path / "groups"
 
@@ -44,7 +44,7 @@ def test_part_of_a_core_is_one(container: Path) -> None:
 
 
 def test_a_machine_without_cgroup_files_has_its_own_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(machine, "MEMBERSHIP", tmp_path / "none")
-    monkeypatch.setattr(machine, "MEMINFO", tmp_path / "none")
+    monkeypatch.setattr(machine, "CGROUP_MEMBERSHIP_FILE", tmp_path / "none")
+    monkeypatch.setattr(machine, "MEMINFO_FILE", tmp_path / "none")
     assert usable_cores() >= 1
     assert usable_memory() is None

@@ -121,7 +121,7 @@ def test_a_probe_keeps_the_environment_but_for_pyopengls_own_choice(probing):
     ],
 )
 def test_a_real_probe_that_hangs_crashes_or_prints_junk_costs_a_message_only(monkeypatch, probe, reason):
-    monkeypatch.setattr(gl, "PROBE", probe)
+    monkeypatch.setattr(gl, "PROBE_PROGRAM", probe)
     monkeypatch.setattr(gl, "PROBE_SECONDS", 0.5 if "sleep" in probe else 60.0)
     with pytest.raises(ResourceError, match=f"mine: {reason}"):
         find_backend({"MUJOCO_GL": "mine"}, "linux")

@@ -132,7 +132,7 @@ def test_joints_of_things_are_told(tmp_path: Path) -> None:
 
 
 def test_a_task_without_a_start_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("yamsim_cli.policies.evaluate.stepped_task.MAX_STARTS", 1)
+    monkeypatch.setattr("yamsim_cli.policies.evaluate.stepped_task.MAX_SKIPPED_TRIALS", 1)
     tight = changed({("starts", "cube", "x"): [0.40, 0.40], ("starts", "cube", "y"): [-0.15, -0.15]})
     env = gymnasium.make(ENV_ID, task=str(written(tmp_path, tight)))
     with pytest.raises(SimulationError, match="of 1 trials of seed 3, from number 0 on, none has a start"):

@@ -21,7 +21,7 @@ from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import ConfigError, SimulationError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import invert_pose, pose, rotation_from_vector, rotation_vector, rotation_z
-from yamsim_cli.kinematics import Kinematics, OutOfReachError, Site
+from yamsim_cli.kinematics import Kinematics, KinematicSite, OutOfReachError
 
 START = np.array([0, 1.85, 1.90, -1.37, 0, 0])
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -41,7 +41,7 @@ def run(code: str, repository: Path, **environ: str) -> subprocess.CompletedProc
 
 @pytest.mark.parametrize("site", ["pinch_site", "grasp_site"])
 @pytest.mark.parametrize(("rig", "arm"), [("single", None), ("single_linear", "right"), ("russet", "left")])
-def test_what_goes_forwards_comes_back(rig: str, arm: str | None, site: Site) -> None:
+def test_what_goes_forwards_comes_back(rig: str, arm: str | None, site: KinematicSite) -> None:
     kinematics = Kinematics(rig, arm, site=site)
     low, high = kinematics.joint_range.T
     rng = np.random.default_rng(3)

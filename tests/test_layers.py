@@ -24,6 +24,7 @@ FLOORS: dict[str, int] = {
     "core.images": 2,
     "core.markup": 2,
     "core.recorded_motion": 2,
+    "camera_effects": 2,
     "core.robots": 2,
     "core.workers": 2,
     "plots": 3,
@@ -32,13 +33,16 @@ FLOORS: dict[str, int] = {
     "core.dataset": 5,
     "core.scene": 5,
     "core.rendering": 6,
+    "camera_rendering": 7,
     "core.sim": 6,
+    "selection": 6,
     "core.expert": 7,
     "core.episode": 8,
     "cpu_limits": 8,
     "gl": 8,
     "mesh_download": 8,
     "session_opener": 9,
+    "trials": 9,
     # Wings: tasks of users.
     "datasets": 10,
     "export": 10,
@@ -48,8 +52,10 @@ FLOORS: dict[str, int] = {
     "policies": 10,
     "real": 10,
     "recording": 10,
+    "review": 10,
     "viewers": 10,
     # Code that joins wings, and entry points of users.
+    "calibration": 11,
     "camera_reader": 11,
     "doctor": 11,
     "gap_photos": 11,
@@ -63,12 +69,17 @@ FLOORS: dict[str, int] = {
     "flags": 12,
     "api": 13,
     "commands": 13,
-    "gym_env": 14,
+    "gym_options": 14,
     "main": 14,
     "station_settings": 14,
     "__main__": 15,
+    "gym_physics": 15,
+    "gym_pictures": 15,
+    "gym_task": 15,
     "station": 15,
+    "gym_env": 16,
     "live_station": 16,
+    "vector_env": 16,
 }
 WINGS = {unit for unit, floor in FLOORS.items() if floor == FLOORS["photos"]}
 
@@ -77,13 +88,22 @@ CONFINED = {
     "mink": {"core.expert.planning.ik"},
     "manifold3d": {"core.scene.assets.mesh_reduction", "objects.convex_decomposition"},
     "fast_simplification": {"core.scene.assets.mesh_reduction"},
-    "cv2": {"core.images", "core.rendering", "photos"},
+    "cv2": {
+        "calibration",
+        "camera_effects",
+        "camera_rendering",
+        "core.images",
+        "core.rendering",
+        "photos",
+    },
     "coacd": {"objects"},
-    "scipy": {"core.statistics"},
+    "scipy": {"calibration.pose_search", "core.statistics"},
     "defusedxml": {"objects.readers.untrusted_xml"},
     "trimesh": {"objects.readers.meshes", "viewers.scene_nodes"},
     "PIL": {"objects.readers", "viewers.scene_nodes"},
     "mujoco": {
+        "camera_rendering",
+        "gym_physics",
         "core.episode",
         "core.expert",
         "core.rendering",
@@ -108,14 +128,14 @@ CONFINED = {
     "ray": {"recording.ray_pool"},
     "av": {"core.images.video"},
     "pyarrow": {"export", "real.recordings.lerobot_files"},
-    "mcap": {"real.recordings.mcap_file"},
+    "mcap": {"real.recordings.mcap_file", "export.abc"},
     "rerun": {"export.rrd"},
     "msgpack": {"policies.openpi", "policies.remote_policy", "real.serve.chiral", "real.serve.portal"},
     "websockets": {"policies.openpi", "real.serve.chiral", "viewers.scene_page"},
     "lerobot": {"policies.lerobot", "lerobot_camera"},
     "raiden": {"raiden_camera"},
     "torch": {"policies.lerobot"},
-    "gymnasium": {"gym_env"},
+    "gymnasium": {"gym_env", "gym_task", "vector_env"},
     "can": {"can_site"},
 }
 
@@ -262,7 +282,7 @@ def test_the_page_on_architecture_names_modules_that_exist() -> None:
 # Started or imported by other programs: the command, plugins of other tools, and the public API.
 ENTRIES = {
     *("__main__", "can_site.yamsim_can", "gym_env", "kinematics", "kitchenbench.own_tasks", "kitchenbench.policy"),
-    *("lerobot_camera", "live_station", "main", "raiden_camera"),
+    *("lerobot_camera", "live_station", "main", "raiden_camera", "vector_env"),
 }
 
 

@@ -10,6 +10,7 @@ import cv2
 import mujoco
 import numpy as np
 
+from yamsim_cli.camera_effects.lens_distortion import LensWarp, project_points
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
@@ -20,7 +21,6 @@ from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose, quat_from_rot
 from yamsim_cli.core.rendering.renderer import SceneRenderer
 from yamsim_cli.core.scene.blueprint import Blueprint
 from yamsim_cli.core.scene.compilation import compile_spec
-from yamsim_cli.photos.lens_distortion import LensWarp, project_points
 from yamsim_cli.viewers.show.compose import compose_at_home
 
 # Camera of the checks.

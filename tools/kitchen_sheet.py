@@ -24,7 +24,7 @@ _FILE = Path(__file__).resolve().parents[1] / "docs" / "kitchen.png"
 def main() -> None:
     """Draw, write and print."""
     opener = SessionOpener(os.environ, lambda text: print(text, file=sys.stderr), str)
-    where = opener.use_gl(opener.find_locations())
+    where = opener.choose_gl_backend(opener.find_locations())
     # After the choice of a backend.
     import mujoco
 

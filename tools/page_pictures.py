@@ -81,7 +81,9 @@ def _fold_napkin(opener: SessionOpener, where: Locations) -> np.ndarray:
 
 
 def _session(opener: SessionOpener, where: Locations, **given: Any) -> Session:
-    return opener.with_meshes(Session(opener.load_record_config("default", where, quality="high", **given), where))
+    return opener.with_scene_meshes(
+        Session(opener.load_record_config("default", where, quality="high", **given), where)
+    )
 
 
 def _grid(rows: Sequence[Sequence[np.ndarray]], gap: int) -> np.ndarray:
@@ -105,7 +107,7 @@ def main(names: list[str]) -> None:
     """Draw and write."""
     opener = SessionOpener(os.environ, lambda text: print(text, file=sys.stderr), str)
     # What draws is settled before anything imports MuJoCo.
-    where = opener.use_gl(opener.find_locations())
+    where = opener.choose_gl_backend(opener.find_locations())
     from yamsim_cli.core.images.jpeg import encode_jpeg
 
     for name, draw in _DRAWN.items():

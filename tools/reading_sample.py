@@ -65,14 +65,52 @@ def _prose(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def _names(path: Path) -> Iterator[dict[str, Any]]:
-    """Yield the names of a file's module, classes, functions and methods."""
-    module = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
+    """Yield the names that a file defines, each with what an editor's completion list shows: class, type, signature.
+
+    `file` and `line` are for the second person; the reader of the names gets no source file.
+    """
+    file, module = str(path.relative_to(PACKAGE.parent)), ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
     if path.stem != "__init__":
-        yield {"kind": "module", "name": path.stem, "package": module.rpartition(".")[0]}
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ClassDef | ast.FunctionDef) and not node.name.startswith("__"):
-            kind = "class" if isinstance(node, ast.ClassDef) else "function or method"
-            yield {"kind": kind, "name": node.name, "package": module}
+        yield {"kind": "module", "name": path.stem, "package": module.rpartition(".")[0], "file": file, "line": 1}
+    yield from (
+        {**entry, "package": module, "file": file} for entry in _members(ast.parse(path.read_text("utf-8")), None)
+    )
+
+
+def _members(parent: ast.AST, of_class: str | None) -> Iterator[dict[str, Any]]:
+    """Yield the classes, functions, methods, fields and constants that a node defines, those inside functions too."""
+    for node in ast.iter_child_nodes(parent):
+        entry: dict[str, Any] | None = None
+        if isinstance(node, ast.ClassDef):
+            entry = {"kind": "class", "name": node.name, "bases": [ast.unparse(base) for base in node.bases]}
+        elif isinstance(node, ast.FunctionDef):
+            returns = ast.unparse(node.returns) if node.returns else "?"
+            signature = f"({ast.unparse(node.args)}) -> {returns}"
+            entry = {"kind": "method" if of_class else "function", "name": node.name, "signature": signature}
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and _has_members(parent):
+            kind = "field" if of_class else "constant"
+            entry = {"kind": kind, "name": node.target.id, "type": ast.unparse(node.annotation)}
+        elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name) and _has_members(parent):
+            entry = {"kind": "constant", "name": node.targets[0].id, "type": _type_of(node.value)}
+        if entry is not None and not entry["name"].startswith("__"):
+            yield entry | ({"class": of_class} if of_class else {}) | {"line": getattr(node, "lineno", 1)}
+        if not isinstance(node, ast.expr):
+            inside = node.name if isinstance(node, ast.ClassDef) else None
+            yield from _members(node, inside)
+
+
+def _type_of(value: ast.expr) -> str:
+    """Return the type of a constant that has no annotation, or the types for which an alias stands."""
+    if isinstance(value, ast.Constant):
+        return type(value.value).__name__
+    if isinstance(value, ast.Call):
+        return ast.unparse(value.func)
+    return ast.unparse(value) if isinstance(value, ast.Subscript) else type(value).__name__.lower()
+
+
+def _has_members(node: ast.AST) -> bool:
+    """Whether names assigned directly in the node are constants or fields, not local variables."""
+    return isinstance(node, ast.Module | ast.ClassDef)
 
 
 if __name__ == "__main__":

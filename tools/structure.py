@@ -63,13 +63,13 @@ def _episode() -> Callable[[], object]:
     """Return the work for one recorded episode of `pickplace` in a process that has recorded another."""
     from yamsim_cli.core.attempt_data import AttemptJob
     from yamsim_cli.core.dataset.records import attempt_record, episode_record
-    from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+    from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
     from yamsim_cli.core.dataset.writing.writer import DatasetWriter
     from yamsim_cli.core.episode.runner import AttemptRunner
 
     session = setting("fast")
     runner = AttemptRunner(session, render=True)
-    writer = DatasetWriter(Path(tempfile.mkdtemp()) / "dataset", session.config.data_config(), OpenMode.NEW)
+    writer = DatasetWriter(Path(tempfile.mkdtemp()) / "dataset", session.config.data_config(), ExistingDatasetMode.NEW)
 
     def record(number: int) -> None:
         payload = runner.run(AttemptJob(0, number))

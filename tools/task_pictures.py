@@ -36,12 +36,12 @@ def main(names: list[str]) -> None:
     """Draw and write."""
     opener = SessionOpener(os.environ, lambda text: print(text, file=sys.stderr), str)
     # What draws is settled before anything imports MuJoCo.
-    where = opener.use_gl(opener.find_locations())
+    where = opener.choose_gl_backend(opener.find_locations())
     from yamsim_cli.core.config.recording import SCENE_CAMERA
 
     for name in names or sorted(file.stem for file in _FOLDER.glob("*.png")):
         config = opener.load_record_config("default", where, task=name, size=_SIZE, quality="high")
-        with first_success(opener.with_meshes(Session(config, where))) as success:
+        with first_success(opener.with_scene_meshes(Session(config, where))) as success:
             seen = [of[SCENE_CAMERA][_ROWS, _COLUMNS] for of in pictures(*success, (0, 0.5, 1), (SCENE_CAMERA,))]
         file = _FOLDER / f"{name}.png"
         few_colours(np.hstack(seen)).save(file, optimize=True)

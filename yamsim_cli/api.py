@@ -74,31 +74,41 @@ def record(
         grasp=grasp,
     )
 
-    from .core.dataset.writing.directory_claim import OpenMode
+    from .core.dataset.writing.directory_claim import ExistingDatasetMode
     from .core.workers.stop_request import StopRequest
     from .recording.collect import RecordCallbacks
     from .recording.executor_factories import InlineExecutorFactory, ProcessExecutorFactory
     from .recording.recorder import record as run
     from .recording.recording_output import RecordingOutput
 
-    output = RecordingOutput(Path(out), OpenMode.RESUME if resume else OpenMode.NEW)
+    output = RecordingOutput(Path(out), ExistingDatasetMode.RESUME if resume else ExistingDatasetMode.NEW)
     watch = RecordCallbacks(lambda *_: None, lambda text: None)
     executors = InlineExecutorFactory() if workers is None else ProcessExecutorFactory()
     return run(session, output, executors, watch, StopRequest())
 
 
-def open_dataset(path: str | Path) -> StoredEpisodes:
+def open_dataset(path: str | Path, *, selection: str | Path | None = None) -> StoredEpisodes:
     """Return the episodes of a dataset as a sequence, with `len`, indices, slices and iteration.
 
     Each episode has `record`, `frames()` and `image(camera, number)`. The list of episodes is read immediately, and the
     files of an episode on access.
 
+    Args:
+        selection: a selection file of `yamsim review`. Episodes that it drops are left out. Of a trimmed episode,
+            `record.frames`, `frames()` and `image` are those of the kept part; timestamps are as recorded.
+
     Raises:
-        DatasetError: `path` has no dataset.
+        DatasetError: `path` has no dataset, or the selection belongs to other episodes.
+        ConfigError: the selection is invalid.
     """
     from .core.dataset.reader import open_episodes
 
-    return open_episodes(Path(path))
+    episodes = open_episodes(Path(path))
+    if selection is None:
+        return episodes
+    from .selection import apply_selection, open_selected
+
+    return open_selected(episodes, apply_selection(Path(path), Path(selection)))
 
 
 def evaluate(
@@ -122,10 +132,18 @@ def evaluate(
     Returns:
         The data that `--json` prints, such as `stats` and `trials`.
     """
-    from .policies.policy_loading import sees_images
+    from .policies.policy_loading import may_read_images
 
     session = API_SESSION_OPENER.open(
-        config, renders=sees_images(policy), n=n, seed=seed, workers=workers, rig=rig, task=task, arm=arm, wrist=True
+        config,
+        renders=may_read_images(policy),
+        n=n,
+        seed=seed,
+        workers=workers,
+        rig=rig,
+        task=task,
+        arm=arm,
+        wrist=True,
     )
 
     from .core.statistics import THRESHOLDS

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from pathlib import Path, PurePosixPath
 
-CGROUPS = Path("/sys/fs/cgroup")
-MEMBERSHIP = Path("/proc/self/cgroup")
-MEMINFO = Path("/proc/meminfo")
+CGROUP_FOLDER = Path("/sys/fs/cgroup")
+CGROUP_MEMBERSHIP_FILE = Path("/proc/self/cgroup")
+MEMINFO_FILE = Path("/proc/meminfo")
 
 
 def usable_cores() -> int:
@@ -25,7 +25,7 @@ def usable_cores() -> int:
 def usable_memory() -> int | None:
     """Return the bytes that this process may still allocate; None if unknown."""
     left = []
-    for line in _read_if_present(MEMINFO).splitlines():
+    for line in _read_if_present(MEMINFO_FILE).splitlines():
         if line.startswith("MemAvailable:"):
             left.append(int(line.split()[1]) * 1024)
     for group in _control_groups():
@@ -37,11 +37,11 @@ def usable_memory() -> int | None:
 
 def _control_groups() -> list[Path]:
     """Return the control group of this process and its parents, whose limits apply too."""
-    for line in _read_if_present(MEMBERSHIP).splitlines():
+    for line in _read_if_present(CGROUP_MEMBERSHIP_FILE).splitlines():
         # Source: Linux's cgroup-v2.rst: the unified hierarchy's line is "0::$PATH".
         if line.startswith("0::"):
             own = PurePosixPath(line[3:].strip().lstrip("/"))
-            return [CGROUPS / own, *(CGROUPS / parent for parent in own.parents)]
+            return [CGROUP_FOLDER / own, *(CGROUP_FOLDER / parent for parent in own.parents)]
     return []
 
 

@@ -17,7 +17,7 @@ from . import __version__
 from .core.errors import ResourceError, YamsimError
 from .core.files.filesystem_mounts import network_mount, read_mounts
 from .core.files.resources import Locations
-from .core.files.writing import nearest_directory, publish_directory, why_not_directory
+from .core.files.writing import directory_obstacle, nearest_directory, publish_directory
 from .core.scene.assets import AssetSet, AssetStore, find_reduced, load_lock
 from .core.scene.assets.asset_store import FileStatus
 from .cpu_limits import usable_cores, usable_memory
@@ -46,14 +46,14 @@ _WORKER_BYTES = 300_000_000  # of a worker process that renders
 _RECORDER_BYTES = 150_000_000  # of the recording process
 
 # Typical episode with one camera at 640x480.
-_FRAMES = 57  # frames per episode
+_FRAMES_PER_EPISODE = 57  # frames per episode
 _IMAGE_BYTES = 22_000
 _LOWDIM_BYTES = 2_000
-_BLOCK_BYTES = 4096  # bytes to which a filesystem rounds file sizes up
+_FILESYSTEM_BLOCK_BYTES = 4096  # bytes to which a filesystem rounds file sizes up
 
-_EPISODES_WRITTEN = 3  # to measure the speed of the disk
-_SLOW_S = 1.0  # s to write an episode; a slower disk keeps up with one worker at most
-_FEW_EPISODES = 500  # free space for fewer gives a warning
+_DISK_TEST_EPISODES = 3  # to measure the speed of the disk
+_MAX_EPISODE_WRITE_SECONDS = 1.0  # s to write an episode; a slower disk keeps up with one worker at most
+_MIN_EPISODES_OF_SPACE = 500  # free space for fewer gives a warning
 
 GPUS = ("/dev/nvidia0", "/dev/dri/renderD128", "/dev/kfd")  # device files that exist if the machine has a GPU
 
@@ -205,7 +205,7 @@ def _check_disk(out: Path) -> Iterator[HealthCheck]:
         detail = f"{out} is on {mount.point}, which is {mount.kind} ({mount.source}): writing there may be slow"
         yield HealthCheck("disk", Health.WARNING, detail, "yamsim record --stage DIR, with DIR on a local disk")
         return
-    if (fault := why_not_directory(out)) is not None:
+    if (fault := directory_obstacle(out)) is not None:
         yield HealthCheck("disk", Health.FAULT, f"no dataset can be made at {out}: {fault}", "choose another --out")
         return
     place = nearest_directory(out)
@@ -219,14 +219,14 @@ def _check_disk(out: Path) -> Iterator[HealthCheck]:
         yield HealthCheck("disk", Health.FAULT, detail, "choose another --out")
         return
     free = shutil.disk_usage(place).free
-    fit = free // (_FRAMES * (_IMAGE_BYTES + _LOWDIM_BYTES + _BLOCK_BYTES))
+    fit = free // (_FRAMES_PER_EPISODE * (_IMAGE_BYTES + _LOWDIM_BYTES + _FILESYSTEM_BLOCK_BYTES))
     detail = (
         f"{place}: {free / 1e9:.1f} GB free, room for some {fit} episodes; writing one takes {seconds * 1000:.0f} ms"
     )
     figures = {"free_bytes": float(free), "episodes": float(fit), "episode_s": seconds}
-    if fit < _FEW_EPISODES:
+    if fit < _MIN_EPISODES_OF_SPACE:
         yield HealthCheck("disk", Health.WARNING, detail, "make room, or choose another --out", figures)
-    elif seconds > _SLOW_S:
+    elif seconds > _MAX_EPISODE_WRITE_SECONDS:
         yield HealthCheck(
             "disk", Health.WARNING, detail, "yamsim record --stage DIR, with DIR on a faster disk", figures
         )
@@ -240,11 +240,11 @@ def write_episodes(place: Path) -> float:
     Raises:
         OSError: the disk refused a file.
     """
-    files = {f"rgb/scene_camera/{k:06d}.jpg": bytes(_IMAGE_BYTES) for k in range(_FRAMES)}
-    files |= {f"lowdim/{k:06d}.pkl": bytes(_LOWDIM_BYTES) for k in range(_FRAMES)}
+    files = {f"rgb/scene_camera/{k:06d}.jpg": bytes(_IMAGE_BYTES) for k in range(_FRAMES_PER_EPISODE)}
+    files |= {f"lowdim/{k:06d}.pkl": bytes(_LOWDIM_BYTES) for k in range(_FRAMES_PER_EPISODE)}
     worst = 0.0
     with tempfile.TemporaryDirectory(prefix=".yamsim-doctor-", dir=place) as scratch:
-        for k in range(_EPISODES_WRITTEN):
+        for k in range(_DISK_TEST_EPISODES):
             began = time.monotonic()
             publish_directory(Path(scratch, f"{k}"), files, Path(scratch, "staging"))
             worst = max(worst, time.monotonic() - began)

@@ -17,7 +17,7 @@ from .core.rendering.software_renderers import is_software_renderer
 LINUX_BACKENDS = ("egl", "osmesa")  # EGL finds a GPU or Mesa's software renderer; newer Mesa has no OSMesa
 PROBE_SECONDS = 60.0  # s, time limit of the test of a backend
 # Python program that tests a backend. It reads a rendered image back, since some backends render nothing.
-PROBE = """
+PROBE_PROGRAM = """
 import mujoco
 model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
 data = mujoco.MjData(model)
@@ -90,7 +90,7 @@ def probe_backend(name: str, environ: Mapping[str, str]) -> GlBackend | str:
     environment.pop("PYOPENGL_PLATFORM", None)
     try:
         probe = subprocess.run(
-            [sys.executable, "-c", PROBE],
+            [sys.executable, "-c", PROBE_PROGRAM],
             env=environment,
             capture_output=True,
             text=True,

@@ -23,7 +23,7 @@ def refusal_reason(hosts: Sequence[str], origins: Sequence[str], bound: str) -> 
     if len(hosts) > 1 or len(origins) > 1:
         return "more than one Host or Origin header"
     host = _split_url(f"//{hosts[0]}") if hosts else None
-    if hosts and (host is None or not _is_own(host.hostname or "", bound)):
+    if hosts and (host is None or not _is_own_host(host.hostname or "", bound)):
         return f"Host {hosts[0][:100]!r} is not this server"
     if not origins:
         return None
@@ -44,7 +44,7 @@ def _split_url(url: str) -> SplitResult | None:
     return parts if not (parts.username or parts.path or parts.query or parts.fragment) else None
 
 
-def _is_own(name: str, bound: str) -> bool:
+def _is_own_host(name: str, bound: str) -> bool:
     name, bound = name.lower().rstrip("."), bound.lower()
     try:
         address = ipaddress.ip_address(name)

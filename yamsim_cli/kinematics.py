@@ -28,9 +28,9 @@ from .core.geometry.se3 import Array, invert_pose, pose
 from .core.robots.joint_limits import describe_limit_violation
 from .core.scene.arm_model import kinematic_model
 
-__all__ = ["Kinematics", "OutOfReachError", "Site"]
+__all__ = ["KinematicSite", "Kinematics", "OutOfReachError"]
 
-Site = Literal["pinch_site", "grasp_site"]
+KinematicSite = Literal["pinch_site", "grasp_site"]
 
 # Searches from random start joints, for an arm without analytic inverse kinematics. Source: 1,000 poses of uniformly
 # sampled joints needed at most 29 searches.
@@ -62,7 +62,7 @@ class Kinematics:
         UsageError: the rig has no such arm, or the arm has no such site.
     """
 
-    def __init__(self, rig: str = "single", arm: str | None = None, *, site: Site = "pinch_site") -> None:
+    def __init__(self, rig: str = "single", arm: str | None = None, *, site: KinematicSite = "pinch_site") -> None:
         where = Locations.from_environment(os.environ)
         config = load_config(RigConfig, "rigs", rig, where, {})
         sides = [one.side for one in config.arms]
@@ -70,8 +70,8 @@ class Kinematics:
             raise UsageError(f"rig {config.name!r} has two arms: give arm='left' or arm='right'")
         if arm is not None and arm not in sides:
             raise UsageError(f"rig {config.name!r} has no arm {arm!r}; {suggest_similar(str(arm), sides)}")
-        if site not in get_args(Site):
-            raise UsageError(f"there is no site {site!r}; {suggest_similar(str(site), get_args(Site))}")
+        if site not in get_args(KinematicSite):
+            raise UsageError(f"there is no site {site!r}; {suggest_similar(str(site), get_args(KinematicSite))}")
         number = sides.index(arm) if arm in sides else 0
         self._arm = config.arms[number]
         model = kinematic_model(self._arm)
@@ -87,7 +87,7 @@ class Kinematics:
             self._forward.T_site_in_base(self._home, name) for name in ("pinch_site", site)
         )
         for solver in self._solvers:
-            solver.set_held_frame(invert_pose(T_pinch_in_base) @ T_site_in_base)
+            solver.set_held_object_frame(invert_pose(T_pinch_in_base) @ T_site_in_base)
 
     @property
     def T_base_in_world(self) -> Array:

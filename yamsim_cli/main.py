@@ -16,8 +16,11 @@ from typer.exceptions import TyperException
 from . import __version__
 from .commands import assets, config, export, robots, tasks
 from .commands.boards import boards
+from .commands.calibrate import calibrate
 from .commands.compose_xml import compose_xml
+from .commands.derive import filter_dataset, merge, split
 from .commands.doctor import doctor
+from .commands.draw import draw
 from .commands.evaluate import evaluate
 from .commands.gap import gap
 from .commands.identify import excite, identify
@@ -26,8 +29,9 @@ from .commands.overlay import overlay
 from .commands.record import record
 from .commands.render_views import render_views
 from .commands.replay import replay
+from .commands.review import review
 from .commands.serve_policy import serve_policy
-from .commands.serve_robot import can_run, serve_robot
+from .commands.serve_robot import run_can_program, serve_robot
 from .commands.summarize import summarize
 from .commands.teleop import teleop
 from .commands.trials import pickplace, trials
@@ -46,15 +50,21 @@ app = typer.Typer(
 )
 app.command()(record)
 app.command()(summarize)
+app.command()(draw)
 app.command()(verify)
 app.command()(replay)
+app.command()(review)
+app.command()(merge)
+app.command()(split)
+app.command("filter")(filter_dataset)
 app.command("eval")(evaluate)
 app.command("serve-policy")(serve_policy)
 app.command("serve-robot")(serve_robot)
-app.command("can-run")(can_run)
+app.command("can-run")(run_can_program)
 app.command("compose-xml")(compose_xml)
 app.command("render-views")(render_views)
 app.command()(overlay)
+app.command()(calibrate)
 app.command()(identify)
 app.command()(excite)
 app.command()(gap)
@@ -72,18 +82,18 @@ app.add_typer(tasks.app, name="tasks")
 app.add_typer(assets.app, name="assets")
 
 # Packages whose versions affect recorded data; `yamsim doctor` shows all.
-_VERSIONS = ("mujoco", "mink", "numpy", "opencv-python-headless")
+_SHOWN_PACKAGES = ("mujoco", "mink", "numpy", "opencv-python-headless")
 
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        packages = ", ".join(f"{name} {version(name)}" for name in _VERSIONS)
+        packages = ", ".join(f"{name} {version(name)}" for name in _SHOWN_PACKAGES)
         sys.stdout.write(f"yamsim {__version__}\nPython {platform.python_version()}, {packages}\n")
         raise typer.Exit
 
 
 @app.callback()
-def _root(
+def _main_options(
     version: Annotated[
         bool,
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show versions and exit."),
@@ -94,7 +104,7 @@ def _root(
 
 _INTERRUPTED_CODE = 130  # exit code after a signal
 # Commands that run until a signal, which gives exit code 0.
-_ENDED_BY_SIGNAL = ("view", "serve-policy")
+_ENDED_BY_SIGNAL = ("view", "serve-policy", "review")
 
 
 def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
@@ -113,25 +123,25 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
             raise KeyboardInterrupt
         write_end_notes()
     except YamsimError as error:
-        _fail(str(error), error.exit_code)
+        _exit_with_error(str(error), error.exit_code)
     except OSError as error:
         # Any access to a path from the user raises this error if the path is too long.
         if error.errno != errno.ENAMETOOLONG:
             raise
-        _fail(
+        _exit_with_error(
             f"{error.filename} is not a valid path: a name may have 255 bytes, and a whole path 4,095",
             ResourceError.exit_code,
         )
     except TyperException as error:
         if message := error.format_message():
-            _fail(
+            _exit_with_error(
                 f"{message.rstrip('.')}{_decimal_point(error)}; see {_command_of_error(error)} --help", error.exit_code
             )
         sys.exit(error.exit_code)
     except (typer.Abort, KeyboardInterrupt):
         if len(sys.argv) > 1 and sys.argv[1] in _ENDED_BY_SIGNAL:
             sys.exit(0)
-        _fail("interrupted", _INTERRUPTED_CODE)
+        _exit_with_error("interrupted", _INTERRUPTED_CODE)
     sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -153,7 +163,7 @@ def _decimal_point(error: TyperException) -> str:
     return f": {given!r} has a decimal comma; write {given.replace(',', '.')}"
 
 
-def _fail(message: str, code: int) -> NoReturn:
+def _exit_with_error(message: str, code: int) -> NoReturn:
     sys.stderr.write(f"yamsim: {message}\n")
     sys.exit(code)
 

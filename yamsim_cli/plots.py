@@ -15,9 +15,9 @@ from .core.statistics import Coverage
 _WIDTH = 460.0  # px, except the workspace plot
 _PLAN_WIDTH, _PLAN_MAX_HEIGHT = 300.0, 330.0  # px, of the workspace plot
 
-_MAX_LIMIT_RATIO = 2.0  # of the largest distance; a line at a limit beyond it would squeeze the bars
+_MAX_SHOWN_LIMIT_RATIO = 2.0  # of the largest distance; a line at a limit beyond it would squeeze the bars
 _MAX_CURVE_POINTS = 500  # minimum and maximum of each of 250 intervals, which keeps every peak
-_CURVE_ROOM = 0.06  # above and below curves, as a share of their span
+_CURVE_PADDING = 0.06  # above and below curves, as a share of their span
 _MAX_DOTS = 4000  # of one series in a workspace plot; more cannot be distinguished, and make the page large
 _MAX_NAME = 20  # characters of a bar's label; longer labels are cut
 
@@ -99,7 +99,7 @@ def plot_distance_histogram(
     """
     height, right = 240.0, _WIDTH - 12
     low, high = edges[0] * 1000, edges[-1] * 1000
-    near = [limit for limit in limits if limit * 1000 < _MAX_LIMIT_RATIO * high]
+    near = [limit for limit in limits if limit * 1000 < _MAX_SHOWN_LIMIT_RATIO * high]
     low = 0.0 if limits else low - (edges[1] - edges[0]) * 1000
     high = max([high, *(limit * 1000 for limit in near)]) + (high - low) * 0.04
     # If the axis of counts reaches at least 4, its ticks are whole numbers.
@@ -196,7 +196,7 @@ def plot_curves(
     low, high = float(known.min()), float(known.max())
     if high - low < min_span:
         low, high = (low + high - min_span) / 2, (low + high + min_span) / 2
-    room = (high - low) * _CURVE_ROOM or 1e-9
+    room = (high - low) * _CURVE_PADDING or 1e-9
     axes = Axes(
         PixelScale(float(times[0]), float(times[-1]), 52, _WIDTH - 12),
         PixelScale(low - room, high + room, height - 46, 26),

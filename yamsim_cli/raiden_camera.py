@@ -26,7 +26,7 @@ __all__ = ["YamsimCamera"]
 
 # Mounted upside down on a real station, so raiden rotates its pictures. Source: TRI-ML/raiden 2353b10, server.py.
 _UPSIDE_DOWN = ("right_wrist_camera",)
-_GRAB_S = 5.0  # s, longest wait of `grab`
+_GRAB_TIMEOUT_S = 5.0  # s, longest wait of `grab`
 
 
 class YamsimCamera(Camera):
@@ -94,11 +94,11 @@ class YamsimCamera(Camera):
             self._file = None
 
     def grab(self) -> bool:
-        """Wait up to `_GRAB_S` for the next picture, and store it for `get_frame`. Return whether a picture arrived."""
+        """Wait up to `_GRAB_TIMEOUT_S` for the next picture, and store it for `get_frame`; return whether it came."""
         if self._reader is None:
             return False
         try:
-            self._picture = self._reader.read(-1 if self._picture is None else self._picture.number, _GRAB_S)
+            self._picture = self._reader.read(-1 if self._picture is None else self._picture.number, _GRAB_TIMEOUT_S)
         except (TimeoutError, YamsimError):
             return False
         if self._file is not None:

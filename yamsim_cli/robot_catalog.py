@@ -23,8 +23,8 @@ from .core.scene.build import build_rig_scene
 from .core.scene.compose import rig_mesh_sets
 
 _VALID_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_HOLD_S = 1.0  # s, for which the arm holds its home posture: the drives settle
-_MAX_SAG = 0.1  # rad, deviation of a joint after `_HOLD_S`; a weak drive exceeds it
+_HOLD_TEST_SECONDS = 1.0  # s, for which the arm holds its home posture: the drives settle
+_MAX_SAG = 0.1  # rad, deviation of a joint after `_HOLD_TEST_SECONDS`; a weak drive exceeds it
 
 _YAML_TEMPLATE = """\
 # The arm {name}: check it with `yamsim robots check {name}`; `--rig {name}+linear_4310` then means it in every command.
@@ -251,12 +251,12 @@ def check_robot(name: str, locations: Locations) -> list[dict[str, Any]]:
     grippers = robot_entry(arm.name, locations)["goes_with"]
     if not grippers:
         raise ConfigError(f"{arm.mjcf.file}: no gripper fits {arm.name!r}; name one under `grippers` in its model.yaml")
-    # Of two arms in one folder with the same revision, the other one may be the invalid one.
+    # If two arms in one folder have the same revision, `valid_families` may blame the other arm: check this one's file.
     file = str(locations.config_file(ARMS, arm.name))
     for fault in valid_families(locations)[1].values():
         if file in str(fault):
             raise fault
-    found = [_check_with(arm, gripper, locations) for gripper in grippers]
+    found = [_check_arm_with_gripper(arm, gripper, locations) for gripper in grippers]
     if all(one["ok"] is None for one in found):
         # A fault of the arm is the same with most grippers; a gripper without a wrist camera is a fault of its own.
         details = [one["detail"] for one in found]
@@ -265,7 +265,7 @@ def check_robot(name: str, locations: Locations) -> list[dict[str, Any]]:
     return found
 
 
-def _check_with(arm: ArmModel, gripper: str, locations: Locations) -> dict[str, Any]:
+def _check_arm_with_gripper(arm: ArmModel, gripper: str, locations: Locations) -> dict[str, Any]:
     try:
         rig = load_config(RigConfig, "rigs", f"{arm.name}+{gripper}", locations)
     except ConfigError as error:
@@ -278,11 +278,11 @@ def _check_with(arm: ArmModel, gripper: str, locations: Locations) -> dict[str, 
     data = mujoco.MjData(model)
     home = np.array(arm.home)
     data.qpos[addresses.joint_qpos], data.ctrl[addresses.arm_ctrl] = home, home
-    mujoco.mj_step(model, data, nstep=int(_HOLD_S / model.opt.timestep))
+    mujoco.mj_step(model, data, nstep=int(_HOLD_TEST_SECONDS / model.opt.timestep))
     off = np.abs(data.qpos[addresses.joint_qpos] - home)
     joint, sag = arm.joints[int(np.argmax(off))].name, float(off.max())
     ok = bool(np.isfinite(off).all() and sag <= _MAX_SAG)
-    detail = f"{joint} is {sag:.3f} rad off home after {_HOLD_S:g} s; at most {_MAX_SAG:g} rad is allowed"
+    detail = f"{joint} is {sag:.3f} rad off home after {_HOLD_TEST_SECONDS:g} s; at most {_MAX_SAG:g} rad is allowed"
     return {"gripper": gripper, "ok": ok, "sag_rad": sag, "detail": detail}
 
 

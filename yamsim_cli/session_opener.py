@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .core.scene.assets import AssetLock, AssetStore, FetchProgress
 
 _VALID_SIDES_PX = range(16, 4097)  # px, of images
-_NO_GL = "off"  # MUJOCO_GL without OpenGL; `use_gl` may replace it, but not a user's "disabled"
+_GL_DISABLED = "off"  # MUJOCO_GL without OpenGL; `choose_gl_backend` may replace it, but not a user's "disabled"
 _OFFLINE_VARIABLE = "YAMSIM_OFFLINE"  # environment variable that prevents downloads of meshes, unless empty or 0
 
 
@@ -31,7 +31,7 @@ def _show_no_progress() -> AbstractContextManager[FetchProgress]:
 
 
 # Setting (flag or keyword) -> key path in a record config; the task comes before the settings within it.
-_SETTING_PATHS: dict[str, tuple[str, ...]] = {
+_KEY_PATH_OF_SETTING: dict[str, tuple[str, ...]] = {
     "rig": ("rig",),
     "revision": ("rig", "revision"),
     "robot": ("rig", "robot"),
@@ -49,6 +49,7 @@ _SETTING_PATHS: dict[str, tuple[str, ...]] = {
     "camera": ("cameras",),
     "boards": ("boards",),
     "truth": ("truth",),
+    "camera_effects": ("camera_effects",),
     "size": ("image", "size_px"),
     "jpeg_quality": ("image", "jpeg_quality"),
     "action": ("action",),
@@ -102,14 +103,14 @@ class SessionOpener:
             self.load_record_config(name, where, lambda config: require_start(Session(config, where)), **given), where
         )
         if not renders:
-            self.skip_gl()
+            self.disable_gl()
             return session
-        where = self.use_gl(where, workers=parallel)
+        where = self.choose_gl_backend(where, workers=parallel)
         from .core.dataset.writing.directory_claim import recorded_meshes
 
         # The config may come from another dataset, whose meshes do not matter here.
         session = Session(self.load_record_config(name, where, **given), where)
-        return self.with_meshes(session.with_values(meshes=recorded_meshes(resumes) if resumes else None))
+        return self.with_scene_meshes(session.with_values(meshes=recorded_meshes(resumes) if resumes else None))
 
     def find_locations(self) -> Locations:
         """Return the locations of configs, models and meshes that the environment defines."""
@@ -135,6 +136,8 @@ class SessionOpener:
             given["task"] = self.resolve_task(task)
         if isinstance(size := given.get("size"), str):
             given["size"] = parse_size(size)
+        if effects := given.get("camera_effects"):
+            given["camera_effects"] = parse_camera_effects(effects)
         if (randomize := given.get("randomize")) is not None:
             if not randomize and given.get("randomization"):
                 named, no = self.setting_label("randomization"), self.setting_label("no_randomize")
@@ -144,7 +147,7 @@ class SessionOpener:
         fps = given.pop("fps", None)
         paths = {
             setting: path
-            for setting, path in _SETTING_PATHS.items()
+            for setting, path in _KEY_PATH_OF_SETTING.items()
             if given.get(setting) is not None and given[setting] != []
         }
         within = [setting for setting in _TASK_SETTINGS if setting in paths]
@@ -167,12 +170,12 @@ class SessionOpener:
         if fps is not None:
             overrides |= self._at_rate(fps, self.load_record_config(name, locations, **given).task.timing)
 
-        def check_all(config: Config) -> None:
+        def check_task_and_fingers(config: Config) -> None:
             check_task_config(config)
             assert isinstance(config, RecordConfig)
             check(config)
 
-        return load_config(RecordConfig, "record", name, locations, overrides, check_all)
+        return load_config(RecordConfig, "record", name, locations, overrides, check_task_and_fingers)
 
     def _task_key_path(self, task: ProgramTask, setting: str) -> KeyPath:
         """Return the key path of a setting within the task, which must have this key."""
@@ -200,7 +203,7 @@ class SessionOpener:
     def _rig_named_by_task(self, task: str | dict[str, Any], locations: Locations) -> tuple[str, str] | None:
         """Return file position and name of the rig in a task's config, if any."""
         from .core.config.loader import config_model
-        from .core.config.program_task import PROGRAM
+        from .core.config.program_task import PROGRAM_KIND
         from .core.files.documents.yaml_document import Document
 
         try:
@@ -208,7 +211,7 @@ class SessionOpener:
             document = read(locations.config_file("tasks", task)) if isinstance(task, str) else Document(task, "task")
         except ConfigError:
             return None  # `load_config` reports the error
-        rig = document.data.get("rig") if document.data.get("kind") == PROGRAM else None
+        rig = document.data.get("rig") if document.data.get("kind") == PROGRAM_KIND else None
         return (document.place_of(("rig",)), rig) if isinstance(rig, str) else None
 
     def load_rig(
@@ -229,7 +232,7 @@ class SessionOpener:
         }
         return load_config(RigConfig, "rigs", name, locations, overrides)
 
-    def use_gl(self, locations: Locations, *, workers: bool = False) -> Locations:
+    def choose_gl_backend(self, locations: Locations, *, workers: bool = False) -> Locations:
         """Find an OpenGL backend, set `MUJOCO_GL`, and return `locations` with the quality that `auto` stands for
         there.
 
@@ -237,7 +240,7 @@ class SessionOpener:
         """
         from .gl import bind_backend, find_backend
 
-        environ = {name: value for name, value in self.environ.items() if (name, value) != ("MUJOCO_GL", _NO_GL)}
+        environ = {name: value for name, value in self.environ.items() if (name, value) != ("MUJOCO_GL", _GL_DISABLED)}
         backend = find_backend(environ)
         if backend.name is not None:
             self.environ["MUJOCO_GL"] = backend.name
@@ -246,26 +249,26 @@ class SessionOpener:
             self.environ.setdefault("LP_NUM_THREADS", "0")
         return replace(locations, auto_quality="balanced" if backend.is_software else "high")
 
-    def skip_gl(self) -> None:
+    def disable_gl(self) -> None:
         """Set `MUJOCO_GL` so that MuJoCo does not load OpenGL."""
-        self.environ.setdefault("MUJOCO_GL", _NO_GL)
+        self.environ.setdefault("MUJOCO_GL", _GL_DISABLED)
 
     def stay_offline(self) -> None:
         """Show primitives for missing meshes instead of fetching them."""
         self.environ[_OFFLINE_VARIABLE] = "1"
 
-    def with_meshes(self, session: Session) -> Session:
+    def with_scene_meshes(self, session: Session) -> Session:
         """Find or fetch all meshes of a scene, and return the session with their folders.
 
         Sets that the config records as primitives stay primitives.
         """
-        from .core.config.mesh_provenance import PRIMITIVES
+        from .core.config.mesh_provenance import PRIMITIVES_ONLY
         from .core.scene.blueprint import recording_blueprint
         from .core.scene.compose import visual_mesh_sets
 
         names = visual_mesh_sets(recording_blueprint(session.config))
         recorded = session.config.meshes or {}
-        kept = [name for name in names if recorded.get(name) == PRIMITIVES]
+        kept = [name for name in names if recorded.get(name) == PRIMITIVES_ONLY]
         where = self.with_mesh_folders(session.locations, set(names).difference(kept), session.config.render)
         return replace(session, locations=replace(where, meshes={**where.meshes, **dict.fromkeys(kept)}))
 
@@ -276,13 +279,13 @@ class SessionOpener:
 
         The render quality decides whether meshes are reduced, now if necessary.
         """
-        from .core.files.resources import IMPORTED
+        from .core.files.resources import IMPORTED_MESH_FOLDER
         from .core.scene.assets import AssetStore, is_user_set, load_lock, resolve_user_set
 
         lock, store = load_lock(locations), AssetStore(locations.assets)
         wanted = set(names)
         own = {name for name in wanted if is_user_set(name)}
-        locked = wanted - own - {IMPORTED}
+        locked = wanted - own - {IMPORTED_MESH_FOLDER}
         meshes = {
             assets.name: store.find_verified_folder(assets) for assets in (lock.select_sets(locked) if locked else ())
         }
@@ -298,8 +301,8 @@ class SessionOpener:
                 f"The files of {' and '.join(lost)} are missing, or changed since the import: copy the folder of "
                 f"that name into {locations.assets}, or import the object again."
             )
-        if IMPORTED in wanted:
-            meshes[IMPORTED] = locations.assets / IMPORTED
+        if IMPORTED_MESH_FOLDER in wanted:
+            meshes[IMPORTED_MESH_FOLDER] = locations.assets / IMPORTED_MESH_FOLDER
         return replace(locations, meshes=meshes)
 
     def _fetch_missing_sets(
@@ -346,6 +349,12 @@ class SessionOpener:
             self.notify(f"The meshes of {name} are shown in full, which takes longer: {error}")
             return folder
         return found.directory
+
+
+def parse_camera_effects(given: Sequence[str]) -> list[dict[str, str | None]]:
+    """Convert texts `[CAMERA=]NAME|FILE` to entries of the key `camera_effects` of a record config."""
+    split = [text.rpartition("=") for text in given]
+    return [{"camera": camera or None, "effects": effects} for camera, _, effects in split]
 
 
 def parse_size(text: str) -> tuple[int, int]:

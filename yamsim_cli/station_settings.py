@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from .core.config.recording import RecordConfig
 
 # Name in `SessionOpener` -> name in `StationSettings`, where they differ.
-_FIELDS = {"camera": "cameras"}
+_FIELD_OF_SETTING = {"camera": "cameras"}
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class StationSettings:
     def opener(self) -> SessionOpener:
         """The session opener, whose messages name settings by `spelling`."""
         return dataclasses.replace(
-            API_SESSION_OPENER, setting_label=lambda name: self.spelling.format(_FIELDS.get(name, name))
+            API_SESSION_OPENER, setting_label=lambda name: self.spelling.format(_FIELD_OF_SETTING.get(name, name))
         )
 
     @property

@@ -73,7 +73,7 @@ def test_without_a_pace_there_is_no_time_left(at: Callable[[float], None], capsy
 
 def test_a_command_tells_its_progress_on_stderr_beside_json() -> None:
     code = (
-        "import sys; from yamsim_cli.terminal import console; console._LOG_SECONDS = 0.0\n"
+        "import sys; from yamsim_cli.terminal import console; console._LOG_PERIOD_SECONDS = 0.0\n"
         "sys.argv = ['yamsim', 'pickplace', 'batch', '--n', '2', '--workers', '1', '--json']\n"
         "from yamsim_cli.main import main; main()"
     )

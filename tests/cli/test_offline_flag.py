@@ -14,7 +14,7 @@ COMMANDS = Path(__file__).resolve().parents[2] / "yamsim_cli/commands"
 
 def test_every_command_that_shows_meshes_can_stay_offline() -> None:
     sources = {path.stem: path.read_text() for path in COMMANDS.glob("*.py")}
-    fetches = re.compile(r"opener\.(open|with_meshes|with_mesh_folders)\(")
+    fetches = re.compile(r"opener\.(open|with_scene_meshes|with_mesh_folders)\(")
     shows = {name for name, text in sources.items() if fetches.search(text)}
     assert len(shows) >= 15
     assert {name for name in shows if not re.search(r"offline: (flags\.)?Offline = False", sources[name])} == set()

@@ -16,8 +16,8 @@ from rich.console import Console
 
 from tests.cli.run_cli import yamsim
 from tests.cli.test_docs import COMMANDS
-from yamsim_cli.terminal.console import print_table, print_text
-from yamsim_cli.terminal.tables import FactTable, ItemTable
+from yamsim_cli.terminal.console import print_table, print_wrapped_text
+from yamsim_cli.terminal.tables import ItemTable, NameValueTable
 from yamsim_cli.terminal.trial_tables import evaluation_table, trials_table
 
 LONG = "/data/" + "a_very_long_name/" * 8 + "[bold]x"
@@ -100,14 +100,14 @@ def test_help_fits_80_columns_and_has_no_colours(path: str) -> None:
 def test_tables_fit_80_columns_and_lose_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     files = ItemTable(["name", "set", "size"], numbers_from=2)
     files.add_row(LONG, "ycb", "1.0 MB")
-    for table in (trials_table(BATCH), evaluation_table(EVALUATION), FactTable([("dataset", LONG)]), files):
+    for table in (trials_table(BATCH), evaluation_table(EVALUATION), NameValueTable([("dataset", LONG)]), files):
         print_table(table)
         out = capsys.readouterr().out
         assert plain_and_narrow(out)
         assert not any(line.endswith(" ") for line in out.splitlines())
         if table is not files:
             assert "".join(LONG.split()) in "".join(out.split())
-    print_text("ok", f"packages: {'numpy 2.4.6, ' * 20}", "green")
+    print_wrapped_text("ok", f"packages: {'numpy 2.4.6, ' * 20}", "green")
     assert plain_and_narrow(capsys.readouterr().out)
 
 
@@ -120,7 +120,7 @@ def test_a_narrow_terminal_breaks_no_words(width: int) -> None:
     listed.add_row(*FILES)
     listed.add_row("other.stl", "", "2 kB")
     told = [("distance from the centre", "median 123.4 mm, p95 234.5 mm"), ("task", "pickplace on single_linear")]
-    for table, words in ((listed, " ".join(FILES)), (FactTable(told), " ".join(map(" ".join, told)))):
+    for table, words in ((listed, " ".join(FILES)), (NameValueTable(told), " ".join(map(" ".join, told)))):
         console = Console(width=width, color_system=None, record=True, file=io.StringIO())
         console.print(table)
         lines = console.export_text().splitlines()
@@ -130,8 +130,8 @@ def test_a_narrow_terminal_breaks_no_words(width: int) -> None:
 
 def test_values_stand_under_long_names_and_beside_short_ones() -> None:
     console = Console(width=40, color_system=None, record=True, file=io.StringIO())
-    console.print(FactTable([("distance from the centre", "median 123.4 mm")]))
-    console.print(FactTable([("size", "1.0 MB"), ("seed", "0")]))
+    console.print(NameValueTable([("distance from the centre", "median 123.4 mm")]))
+    console.print(NameValueTable([("size", "1.0 MB"), ("seed", "0")]))
     told = [line.rstrip() for line in console.export_text().splitlines()]
     assert told == ["distance from the centre", "  median 123.4 mm", "size  1.0 MB", "seed  0"]
 

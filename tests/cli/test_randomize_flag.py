@@ -6,7 +6,7 @@ import pytest
 
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.flags.session_options import opener
+from yamsim_cli.flags.session_options import session_opener
 
 MINE = "{lens_deg: [-1, 1]}"
 
@@ -33,7 +33,7 @@ def test_the_flag_takes_the_default_and_leaves_ones_own_ranges(
     flag: bool | None, own: str, wanted: str, tmp_path: Path, locations: Locations, repository: Path
 ) -> None:
     mine = write_config(tmp_path / "mine.yaml", repository, own)
-    parts = opener.load_record_config(str(mine), locations, randomize=flag).randomization.varied_parts
+    parts = session_opener.load_record_config(str(mine), locations, randomize=flag).randomization.varied_parts
     if wanted == "default":
         assert len(parts) > 5
     else:
@@ -42,19 +42,19 @@ def test_the_flag_takes_the_default_and_leaves_ones_own_ranges(
 
 def test_ranges_are_named_by_a_flag_that_says_more_than_the_other(locations: Locations) -> None:
     for randomize in (None, True):
-        found = opener.load_record_config("default", locations, randomize=randomize, randomization="arms")
+        found = session_opener.load_record_config("default", locations, randomize=randomize, randomization="arms")
         assert found.randomization.varied_parts == ("arm_dynamics",)
     with pytest.raises(UsageError, match="--randomization and --no-randomize contradict each other"):
-        opener.load_record_config("default", locations, randomize=False, randomization="arms")
+        session_opener.load_record_config("default", locations, randomize=False, randomization="arms")
     with pytest.raises(ConfigError, match="unknown randomization 'arm'; did you mean 'arms'"):
-        opener.load_record_config("default", locations, randomization="arm")
+        session_opener.load_record_config("default", locations, randomization="arm")
 
 
 def test_a_file_may_name_or_spell_out_a_randomization(tmp_path: Path, locations: Locations, repository: Path) -> None:
     mine = write_config(tmp_path / "mine.yaml", repository, "default")
-    assert "distractors" in opener.load_record_config(str(mine), locations).randomization.varied_parts
+    assert "distractors" in session_opener.load_record_config(str(mine), locations).randomization.varied_parts
     write_config(mine, repository, MINE)
-    assert opener.load_record_config(str(mine), locations).randomization.varied_parts == ("lens_deg",)
+    assert session_opener.load_record_config(str(mine), locations).randomization.varied_parts == ("lens_deg",)
 
 
 @pytest.mark.parametrize(
@@ -79,6 +79,6 @@ def test_what_is_wrong_with_ranges_is_told(
 ) -> None:
     mine = write_config(tmp_path / "mine.yaml", repository, ranges)
     with pytest.raises(ConfigError) as caught:
-        opener.load_record_config(str(mine), locations)
+        session_opener.load_record_config(str(mine), locations)
     assert named in str(caught.value)
     assert str(mine) in str(caught.value)

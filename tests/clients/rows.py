@@ -159,6 +159,46 @@ ROWS: dict[str, ClientRow] = {
         "`import`: files of their writers with the topics of ABC-130k, films in H.264 and H.265",
         Environment("mcap"),
     ),
+    "maker": ClientRow(
+        client="the maker's yam-abc-reproduce, from its repository",
+        distribution="yam-abc-reproduce",
+        opens="`export maker`: its reader, the requests of its review tab and its converter to ABC; `import`: the "
+        "episodes of its recorder, and the MCAP files of its converter",
+        environment=Environment("maker", "3.12"),
+        checkout="YAMSIM_MAKER",
+    ),
+    "maker-lerobot": ClientRow(
+        client="the maker's converter to LeRobot, with LeRobot 0.6",
+        distribution="yam-abc-reproduce",
+        opens="`export maker`: the recorded numbers and images in LeRobot's loader",
+        environment=Environment("lerobot", "3.12"),
+        heavy=True,
+        checkout="YAMSIM_MAKER",
+    ),
+    "maker-deploy": ClientRow(
+        client="the maker's policy client, from its repository",
+        distribution="yam-abc-reproduce",
+        opens="`eval --policy-config maker_rtc`: a server gets the same requests from both, and both execute the same "
+        "actions",
+        environment=Environment("openpi", "3.12"),
+        checkout="YAMSIM_MAKER",
+    ),
+    "abc-export": ClientRow(
+        client="ABC's export_mcap.py, from its repository",
+        distribution="abc-minimal",
+        opens="`export abc`: the recorded rows from the second frame on, and the metadata of `--layout training`; "
+        "`import`: its output",
+        environment=Environment("maker", "3.12"),
+        checkout="YAMSIM_ABC",
+    ),
+    "abc-loader": ClientRow(
+        client="the dataset of ABC's trainer, from its repository",
+        distribution="abc-minimal",
+        opens="`export abc --layout training`: rows, action chunks, images and prompts of each usable frame",
+        environment=Environment("lerobot", "3.12"),
+        heavy=True,
+        checkout="YAMSIM_ABC",
+    ),
     "lerobot-0.4": ClientRow("LeRobot 0.4", "lerobot", _LEROBOT, Environment("lerobot-0.4", "3.11"), heavy=True),
     "lerobot-doctor": ClientRow(
         "lerobot-doctor",

@@ -31,6 +31,6 @@ def test_images_from_processes_of_their_own(row: str, client: Callable[[str], In
 
 def test_readmes_lines_run(client: Callable[[str], Interpreter], tmp_path: Path) -> None:
     script = tmp_path / "several.py"
-    script.write_text(snippet("python", "make_vec"))
+    script.write_text(snippet("python", "vectorization_mode"))
     done = client("gymnasium").call([str(script)])
     assert done.returncode == 0, done.stderr

@@ -22,7 +22,7 @@ from yamsim_cli.policies.act import dump_json, load_json
 from yamsim_cli.policies.action_chunks import ChunkSettings
 from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
 from yamsim_cli.policies.evaluate.policy_trial import TrialEnd, TrialResult, TrialRunner
-from yamsim_cli.policies.external_policy import MappedPolicy, PolicyStation
+from yamsim_cli.policies.external_policy import MappedPolicy, PolicyScene
 
 pytestmark = pytest.mark.render
 pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
@@ -125,7 +125,7 @@ def test_act_is_told_byte_for_byte_what_its_own_client_tells_it(
     theirs = load_json((tmp_path / "sent.json").read_bytes())
 
     cameras = {"top": "top_rgb", "left_wrist": "left_rgb", "right_wrist": "right_rgb"}
-    station = PolicyStation("station", ("left", "right"), 7, (0.0475, 0.0475), cameras)
+    station = PolicyScene("station", ("left", "right"), 7, (0.0475, 0.0475), cameras)
     config = load_config(PolicyConfig, "policies", "molmoact2_yam", locations)
     joints = state.copy()
     joints[[6, 13]] *= 0.0475

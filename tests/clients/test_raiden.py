@@ -104,7 +104,7 @@ def test_at_the_recorded_rate_it_would_play_nearly_twice_as_fast(
 
 
 def test_arrays_of_one_arm_leave_nothing_that_stands_still(read: Read, one_arm: Path) -> None:
-    found = read(one_arm, "single", RaidenOptions(pictures="nearest", single=True))
+    found = read(one_arm, "single", RaidenOptions(pictures="nearest", as_single_arm=True))
     assert found["shards"]["still"] == []
     assert found["shards"]["kinds"]["left_wrist_camera_t0.jpg"] == sum(found["counts"].values()) - 3 * LEFT_OUT
     assert not any("right" in key for key in found["shards"]["widths"])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.core.dataset.making import frame
-from yamsim_cli.datasets.compare import Difference, compare_frames, compare_values
+from yamsim_cli.datasets.compare import ValueDifference, compare_frames, compare_values
 
 
 def episode() -> list[dict]:
@@ -78,7 +78,7 @@ def test_large_numbers_count_relative_to_what_is_stored():
 )
 def test_values_that_are_not_numbers_must_be_equal(stored, got, shown):
     result = compare_values({"a": stored}, {"a": got}, 1e9)
-    assert result.first_difference == Difference(None, None, "a", *shown, None)
+    assert result.first_difference == ValueDifference(None, None, "a", *shown, None)
 
 
 def test_a_value_that_is_not_finite_is_named_before_any_other():
@@ -105,7 +105,7 @@ def test_a_key_that_only_one_side_has_is_told():
 
 
 def test_another_number_of_frames_is_told_after_what_differs_in_them():
-    assert compare_frames(episode(), episode()[:3], 0.0).first_difference == Difference(
+    assert compare_frames(episode(), episode()[:3], 0.0).first_difference == ValueDifference(
         None, None, "frames", 4.0, 3.0, None
     )
     made = episode()[:3]

@@ -15,7 +15,7 @@ from tests.older_formats import write_as_format
 from tests.unrendered import SIZE, change_record, write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.reader import open_episodes
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.errors import NewerFormatError
 from yamsim_cli.core.files.resources import Locations
@@ -32,7 +32,7 @@ def config(make_config: Callable[..., RecordConfig]) -> RecordConfig:
 def present(tmp_path_factory: pytest.TempPathFactory, config: RecordConfig, locations: Locations) -> Path:
     path = tmp_path_factory.mktemp("present") / "dataset"
     write_dataset(path, config, locations, EPISODES)
-    with DatasetWriter(path, config.data_config(), OpenMode.RESUME) as writer:
+    with DatasetWriter(path, config.data_config(), ExistingDatasetMode.RESUME) as writer:
         writer.write_manifest()
     return path
 
@@ -87,7 +87,7 @@ def test_it_is_exported_as_one_of_today(dataset: Path, present: Path, tmp_path: 
 def test_it_is_resumed_and_keeps_its_bytes(dataset: Path, config: RecordConfig, present: Path) -> None:
     before = tree(dataset)
     third = open_episodes(present)[0].record.model_copy(update={"episode": 2, "attempt": 2, "files": {}})
-    with DatasetWriter(dataset, config.data_config(), OpenMode.RESUME) as writer:
+    with DatasetWriter(dataset, config.data_config(), ExistingDatasetMode.RESUME) as writer:
         assert (writer.episodes, writer.repairs) == (EPISODES, [])
         writer.publish_episode(third, {})
         writer.write_manifest()
@@ -102,7 +102,7 @@ def test_it_is_resumed_and_keeps_its_bytes(dataset: Path, config: RecordConfig, 
 def test_another_config_is_no_reason_to_resume(dataset: Path, config: RecordConfig) -> None:
     changed: dict[str, Any] = config.data_config() | {"arm": "left"}
     with pytest.raises(Exception, match="arm: 'right' there, 'left' now"):
-        DatasetWriter(dataset, changed, OpenMode.RESUME)
+        DatasetWriter(dataset, changed, ExistingDatasetMode.RESUME)
 
 
 def test_an_episode_of_a_later_version_is_refused_and_stays(dataset: Path, config: RecordConfig) -> None:
@@ -111,7 +111,7 @@ def test_an_episode_of_a_later_version_is_refused_and_stays(dataset: Path, confi
     with pytest.raises(NewerFormatError, match=r"ep_000001.*format_version 5 is newer than 4"):
         open_episodes(dataset)[1]
     with pytest.raises(NewerFormatError):
-        DatasetWriter(dataset, config.data_config(), OpenMode.RESUME)
+        DatasetWriter(dataset, config.data_config(), ExistingDatasetMode.RESUME)
     assert tree(dataset) == before
     run = yamsim("export", "raiden", dataset, dataset.parent / "out", "--pictures", "nearest")
     assert run.code == 4 and "format_version 5 is newer than 4" in run.message

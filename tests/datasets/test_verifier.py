@@ -14,8 +14,8 @@ from tests.cli.run_cli import Run, yamsim
 from tests.unrendered import SIZE, change_frame, change_record, frame_count, read_frame, write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.reader import read_recording_config, select_episodes
-from yamsim_cli.core.episode.attempt_payload import APPEARANCE_REVISION, ENGINE
+from yamsim_cli.core.dataset.reader import read_recording_config, select_episode_directories
+from yamsim_cli.core.episode.attempt_payload import APPEARANCE_REVISION, SIMULATION_REVISION
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.datasets.verify import ACTIONS, IMAGES, SEED, EpisodeVerdict, EpisodeVerifier, Tolerances
@@ -52,7 +52,7 @@ def verdict(dataset: Path, verifier: EpisodeVerifier) -> Callable[[], EpisodeVer
 
 def test_an_episode_is_made_again_bit_for_bit_from_its_seed_and_from_its_actions(verdict) -> None:
     result = verdict()
-    assert result.agrees
+    assert result.is_reproduced
     for check in (SEED, ACTIONS):
         assert result.checks[check].max_error == 0.0
         assert {"joints", "banana_pose", "sim_qpos", "outcome.dxy_m"} <= set(result.checks[check].largest)
@@ -124,29 +124,29 @@ def test_an_episode_that_shows_other_meshes_than_its_dataset_is_named(
     config = read_recording_config(dataset, locations).model_copy(update={"meshes": said})
     with EpisodeVerifier(Session(config, locations), Tolerances(values=0.0, images=None)) as verifier:
         change_record(dataset / "ep_000001", meshes=said)
-        assert verifier.run((1, dataset / "ep_000001")).agrees
+        assert verifier.run((1, dataset / "ep_000001")).is_reproduced
         change_record(dataset / "ep_000001", meshes=said | {"i2rt_yam_crank": "primitives"})
         result = verifier.run((1, dataset / "ep_000001"))
         # An earlier version does not state it.
-        assert verifier.run((0, dataset / "ep_000000")).agrees
+        assert verifier.run((0, dataset / "ep_000000")).is_reproduced
     told = "it shows other meshes than config.yaml says: i2rt_yam_crank: primitives here, full 000000000000 there"
     assert result.problems == {"episode.json": told}
-    assert not result.agrees
+    assert not result.is_reproduced
 
 
 def test_changed_versions_are_told_and_are_no_fault(dataset: Path, verdict) -> None:
     versions = json.loads((dataset / "ep_000001" / "episode.json").read_text())["versions"]
     change_record(dataset / "ep_000001", versions=versions | {"mujoco": "3.9.9", "retired": "1"})
     result = verdict()
-    assert result.agrees
-    assert result.changed == {"mujoco": ("3.9.9", versions["mujoco"])}
+    assert result.is_reproduced
+    assert result.changed_versions == {"mujoco": ("3.9.9", versions["mujoco"])}
 
 
 def test_a_damaged_file_ends_that_episode_alone(dataset: Path, verdict) -> None:
     file = dataset / "ep_000001" / "lowdim" / "000030.pkl"
     file.write_bytes(file.read_bytes()[:100])
     result = verdict()
-    assert not result.agrees
+    assert not result.is_reproduced
     assert "lowdim/000030.pkl" in result.problems[""]
     assert result.checks == {}
 
@@ -170,7 +170,7 @@ def test_an_episode_without_simulation_is_skipped_with_the_reason(dataset: Path,
 
 def test_which_episodes(original: Path, tmp_path: Path) -> None:
     def numbers(episodes: str | None = None, sample: int | None = None) -> list[int]:
-        return [number for number, _ in select_episodes(original, episodes, sample)]
+        return [number for number, _ in select_episode_directories(original, episodes, sample)]
 
     assert numbers() == numbers("0-2") == numbers("2,0-1,1") == numbers("ep_000000-ep_000002") == [0, 1, 2]
     assert numbers(sample=1) == [0]
@@ -187,9 +187,9 @@ def test_which_episodes(original: Path, tmp_path: Path) -> None:
         with pytest.raises(UsageError, match=fault):
             numbers(text)
     with pytest.raises(DatasetError, match="is not a directory"):
-        select_episodes(tmp_path / "nowhere", None, None)
+        select_episode_directories(tmp_path / "nowhere", None, None)
     with pytest.raises(DatasetError, match="holds no episodes"):
-        select_episodes(tmp_path, None, None)
+        select_episode_directories(tmp_path, None, None)
 
 
 def test_without_a_usable_config_nothing_can_be_made_again(dataset: Path, locations: Locations) -> None:
@@ -226,7 +226,9 @@ def failing(dataset: Path, *args: str) -> Run:
 def test_the_command_tells_what_differs_in_one_line_with_the_versions_that_changed(dataset: Path) -> None:
     after = read_frame(dataset / "ep_000001", 20)["joints"] + np.float32(1e-3)
     change_frame(dataset / "ep_000001", 20, rehash=True, joints=after)
-    change_record(dataset / "ep_000001", versions={"mujoco": "3.9.9", "looks": APPEARANCE_REVISION, "engine": ENGINE})
+    change_record(
+        dataset / "ep_000001", versions={"mujoco": "3.9.9", "looks": APPEARANCE_REVISION, "engine": SIMULATION_REVISION}
+    )
     run = failing(dataset)
     assert run.json["first_divergence"]["episode"] == 1
     assert run.json["first_divergence"]["frame"] == 20
@@ -256,24 +258,24 @@ def test_pictures_of_an_earlier_revision_of_looks_are_reported_and_states_agree(
     dataset: Path, locations: Locations
 ) -> None:
     found = verdict_without_version(dataset, locations, "looks")
-    assert found.agrees
+    assert found.is_reproduced
     assert found.checks[SEED].first_difference is None
     assert IMAGES not in found.checks
     assert found.skipped[IMAGES].startswith(
         f"its images have appearance revision 1, but this version renders revision {APPEARANCE_REVISION}"
     )
-    assert found.changed["looks"] == ("1", APPEARANCE_REVISION)
+    assert found.changed_versions["looks"] == ("1", APPEARANCE_REVISION)
 
 
 def test_an_episode_of_an_earlier_engine_is_repeated_by_its_actions_alone(dataset: Path, locations: Locations) -> None:
     found = verdict_without_version(dataset, locations, "engine")
-    assert found.agrees
+    assert found.is_reproduced
     assert set(found.checks) == {ACTIONS}
     reason = found.skipped[SEED]
     assert reason.startswith("it was made by engine revision 1 of yamsim ")
-    assert f"this version's revision {ENGINE} makes other episodes" in reason
+    assert f"this version's revision {SIMULATION_REVISION} makes other episodes" in reason
     assert found.skipped[IMAGES] == found.skipped[SEED]
-    assert found.changed["engine"] == ("1", ENGINE)
+    assert found.changed_versions["engine"] == ("1", SIMULATION_REVISION)
 
 
 def test_the_command_names_an_altered_file_though_no_value_differs_enough(dataset: Path) -> None:

@@ -20,6 +20,7 @@ SMALLER = {
 # Start of a line -> flags to add for speed.
 CHEAPER = {
     "yamsim record": "--workers 1 --quality fast --size 160x120",
+    "yamsim draw": "--workers 1 --quality fast --size 96x72",
     "yamsim teleop": "--quality fast --size 160x120",
     "yamsim eval": "--n 1 --workers 1 --quality fast --size 96x72 --time-limit 1",
     "yamsim render-views": "--quality fast --size 160x120",
@@ -37,6 +38,7 @@ SERVERS = {
     "yamsim replay": ("--video",),
     "yamsim teleop": ("--input",),
     "yamsim serve-policy": (),
+    "yamsim review": ("--merge",),
 }
 
 # Pattern -> why a line with it is not run.
@@ -53,7 +55,10 @@ NOT_RUN = {
     r"^yamsim trials --task tower": "a later line, `yamsim tasks check tower`, tries the same",
     r"^yamsim assets certify kitchen_": "another line certifies a mug; tests/objects/certify has all objects",
     r"^yamsim serve-robot (--rig yam_v1|--fault)": "tests/clients/test_i2rt.py serves arms with faults",
+    r"--selection dataset/selection.yaml|^yamsim review --merge": "a person decides first; see tests/test_selection.py",
+    r"^yamsim (merge|split)\b": "it needs other datasets; tests/datasets/test_derive.py has some",
     r"^pip install\b": "it would change this environment; what is missing skips the test",
+    r"^yamsim calibrate\b": "it needs larger pictures; tests/cli/test_calibrate_command.py has them",
     r"^yamsim identify log": "it takes minutes and a log of one; tests/real/identify has some",
     r"--robot my_arm": "it is of an arm that was measured; tests/core/robots/test_dynamics.py has one",
     r"^ray start\b": "it starts a cluster on this machine; test_ray_cluster.py has one",

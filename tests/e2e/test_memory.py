@@ -12,7 +12,7 @@ from tests.core.workers.toy_runners import ToyRunner
 from tests.e2e.recorder import workers_of
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.workers.process_pool import ProcessPool
 from yamsim_cli.core.workers.stop_request import StopRequest
@@ -55,7 +55,7 @@ def test_two_thousand_episodes_fit_into_memory(
     watch = RecordCallbacks(measure, lambda warning: None)
     record(
         Session(config, locations),
-        RecordingOutput(tmp_path / "d", OpenMode.NEW),
+        RecordingOutput(tmp_path / "d", ExistingDatasetMode.NEW),
         ProcessExecutorFactory(),
         watch,
         StopRequest(),

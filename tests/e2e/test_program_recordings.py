@@ -11,10 +11,10 @@ import pytest
 from tests.e2e.recorder import digest, episodes, run, start, wait_until
 from tests.programs import ONTO_PLATE, written
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.workers.stop_request import StopRequest
-from yamsim_cli.datasets.verify import CHECKS, EpisodeVerifier, Tolerances
+from yamsim_cli.datasets.verify import CHECK_NAMES, EpisodeVerifier, Tolerances
 from yamsim_cli.recording.collect import RecordCallbacks
 from yamsim_cli.recording.executor_factories import InlineExecutorFactory
 from yamsim_cli.recording.recorder import record
@@ -62,9 +62,9 @@ def test_each_shipped_task_is_made_again_bit_for_bit(task: str, locations: Locat
     session = Session(config, locations).without_meshes()
     out = tmp_path / "dataset"
     watch = RecordCallbacks(lambda done, wanted, attempts: None, lambda text: None)
-    record(session, RecordingOutput(out, OpenMode.NEW), InlineExecutorFactory(), watch, StopRequest())
+    record(session, RecordingOutput(out, ExistingDatasetMode.NEW), InlineExecutorFactory(), watch, StopRequest())
     with EpisodeVerifier(session, Tolerances(0.0, 0.0)) as verifier:
         verdict = verifier.run((0, out / "ep_000000"))
-    assert verdict.agrees, verdict
-    assert set(verdict.checks) == set(CHECKS)
+    assert verdict.is_reproduced, verdict
+    assert set(verdict.checks) == set(CHECK_NAMES)
     assert all(largest == 0 for check in verdict.checks.values() for largest in check.largest.values())

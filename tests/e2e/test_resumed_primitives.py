@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.run_cli import yamsim
-from yamsim_cli.core.config.mesh_provenance import PRIMITIVES
+from yamsim_cli.core.config.mesh_provenance import PRIMITIVES_ONLY
 from yamsim_cli.core.dataset.reader import open_episodes
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.session_opener import SessionOpener
@@ -30,6 +30,6 @@ def test_a_dataset_of_primitives_goes_on_when_the_meshes_are_here(locations: Loc
     second = yamsim(*RECORD, "--n", "2", "--out", dataset, "--resume", env={"YAMSIM_ASSETS": str(locations.assets)})
     assert second.code == 0, second.err
     said = [episode.record.meshes for episode in open_episodes(dataset)]
-    assert said == [{"i2rt_yam_crank": PRIMITIVES, "ycb": PRIMITIVES}] * 2
+    assert said == [{"i2rt_yam_crank": PRIMITIVES_ONLY, "ycb": PRIMITIVES_ONLY}] * 2
     again = yamsim("verify", dataset, "--images", env=os.environ)
     assert again.code == 0, again.err

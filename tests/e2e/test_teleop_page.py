@@ -21,7 +21,7 @@ from tests.e2e.browser import Browser, wait_until
 from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.episode.sampling import sample_attempt
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
@@ -71,7 +71,7 @@ def driving(config: RecordConfig, locations: Locations, out: Path) -> Iterator[t
     stop = StopRequest()
 
     def serve() -> None:
-        with open_teleop(Session(config, locations), out, OpenMode.NEW, print) as session:
+        with open_teleop(Session(config, locations), out, ExistingDatasetMode.NEW, print) as session:
             scenes.append(session.scene)
             print(run_page(session, config, PageAddress(), urls.append, stop).jitter)
 

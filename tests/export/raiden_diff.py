@@ -74,37 +74,37 @@ def differences(root: Path, *, arms: int = 1, single: bool = False) -> list[str]
 
 
 def _dataset(root: Path, arms: int, width: int) -> Iterator[str]:
-    split = json.loads((root / schema.SPLIT).read_text())
+    split = json.loads((root / schema.SPLIT_FILE).read_text())
     files = split.pop("files")
-    yield from _keys(schema.SPLIT, {key: value for key, value in split.items() if value}, _SPLIT)
-    yield from _names(root, {schema.SPLIT, schema.SHARED_METADATA, schema.CALIBRATION, *files})
+    yield from _keys(schema.SPLIT_FILE, {key: value for key, value in split.items() if value}, _SPLIT)
+    yield from _names(root, {schema.SPLIT_FILE, schema.SHARED_METADATA_FILE, schema.CALIBRATION_FILE, *files})
     size = {"n_seqs": len(files), "n_samples": len(files), "n_frames": sum(files.values())}
     if split != {"filters": {}, "size": size}:
-        yield f"{schema.SPLIT} is {split}, not of {size}"
+        yield f"{schema.SPLIT_FILE} is {split}, not of {size}"
     if list(files) != [schema.episode_name(k) for k in range(len(files))]:
-        yield f"{schema.SPLIT}: episodes are {list(files)}"
+        yield f"{schema.SPLIT_FILE}: episodes are {list(files)}"
     for name, frames in files.items():
         yield from _episode(root / name, frames, arms, width)
-    first = root / next(iter(files)) / schema.METADATA
-    if (root / schema.SHARED_METADATA).read_bytes() != first.read_bytes():
-        yield f"{schema.SHARED_METADATA} is not that of the first episode"
-    calibration = json.loads((root / schema.CALIBRATION).read_text())
+    first = root / next(iter(files)) / schema.METADATA_FILE
+    if (root / schema.SHARED_METADATA_FILE).read_bytes() != first.read_bytes():
+        yield f"{schema.SHARED_METADATA_FILE} is not that of the first episode"
+    calibration = json.loads((root / schema.CALIBRATION_FILE).read_text())
     cameras = calibration.pop("cameras")
-    yield from _keys(schema.CALIBRATION, calibration, _CALIBRATION, _BIMANUAL if arms == 2 else "")
+    yield from _keys(schema.CALIBRATION_FILE, calibration, _CALIBRATION, _BIMANUAL if arms == 2 else "")
     if list(cameras) != json.loads(first.read_text())["cameras"]:
-        yield f"{schema.CALIBRATION}: cameras are {list(cameras)}"
+        yield f"{schema.CALIBRATION_FILE}: cameras are {list(cameras)}"
     for name, entry in cameras.items():
         yield from _keys(name, entry, _CAMERA, _HAND_EYE if entry["type"] == "hand_eye" else "")
 
 
 def _episode(folder: Path, frames: int, arms: int, width: int) -> Iterator[str]:
-    metadata = json.loads((folder / schema.METADATA).read_text())
+    metadata = json.loads((folder / schema.METADATA_FILE).read_text())
     depth, cameras = "depth" in metadata["labels"], metadata["cameras"]
     nearest = metadata["pictures"]["source"] == "nearest"
     yield from _keys(folder.name, metadata, _METADATA, _DEPTH if depth else "", _NEAREST if nearest else "")
     if metadata["num_frames"] != frames:
         yield f"{folder.name}: num_frames is {metadata['num_frames']}, not {frames}"
-    yield from _names(folder, {schema.METADATA, "rgb", "lowdim", *(["depth"] if depth else [])})
+    yield from _names(folder, {schema.METADATA_FILE, "rgb", "lowdim", *(["depth"] if depth else [])})
     yield from _names(folder / "rgb", set(cameras))
     for camera in cameras:
         images = {schema.frame_name(k, metadata["rgb"]["extension"]) for k in range(frames)}
@@ -123,7 +123,7 @@ def _episode(folder: Path, frames: int, arms: int, width: int) -> Iterator[str]:
 
 def _frame(file: Path, cameras: list[str], arms: int, width: int) -> Iterator[str]:
     frame = pickle.loads(file.read_bytes())
-    wanted = dict(_FRAME) | ({schema.BETWEEN_ARMS: ("float32", (4, 4))} if arms == 2 else {})
+    wanted = dict(_FRAME) | ({schema.RIGHT_BASE_POSE_KEY: ("float32", (4, 4))} if arms == 2 else {})
     if list(frame) != list(wanted):
         yield f"{file.name}: keys are {list(frame)}, not {list(wanted)}"
     for key, (dtype, shape) in wanted.items():

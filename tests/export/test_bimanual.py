@@ -134,7 +134,7 @@ def test_raidens_cameras_are_in_the_left_base_and_its_calibration_says_so_too(tw
 def test_two_arms_do_not_go_into_the_arrays_of_one(two_armed: Path, locations: Locations, tmp_path: Path) -> None:
     source = open_source(two_armed, None, locations)
     with pytest.raises(UsageError, match=r"--single is for recordings of one arm, and .* has 2"):
-        export_raiden(source, tmp_path / "out", locations, lambda *_: None, RaidenOptions(fps=None, single=True))
+        export_raiden(source, tmp_path / "out", locations, lambda *_: None, RaidenOptions(fps=None, as_single_arm=True))
     assert not (tmp_path / "out").exists()
 
 

@@ -175,7 +175,7 @@ def test_raidens_replay_keeps_to_the_motors_speeds_at_30_hz_alone(
 
 
 def test_one_arm_alone_has_arrays_of_one_arm(export: Path, dataset: Path, locations: Locations, tmp_path: Path) -> None:
-    out = write(dataset, tmp_path / "out", locations, RaidenOptions(fps=None, single=True), "1")
+    out = write(dataset, tmp_path / "out", locations, RaidenOptions(fps=None, as_single_arm=True), "1")
     assert differences(out, single=True) == []
     assert any("joints is float32 (7,), not float32 (14,)" in text for text in differences(out))
     assert json.loads((out / "0000" / "metadata.json").read_text())["action"]["dims"] == 7

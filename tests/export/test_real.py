@@ -271,5 +271,5 @@ def test_recordings_that_raidens_layout_cannot_hold_are_refused(
     with pytest.raises(UsageError, match="--actions none"):
         to_raiden(filmed.dataset, tmp_path / "out", locations, actions="none")
     with pytest.raises(UsageError, match="--single"):
-        to_raiden(filmed.dataset, tmp_path / "out", locations, RaidenOptions(single=True))
+        to_raiden(filmed.dataset, tmp_path / "out", locations, RaidenOptions(as_single_arm=True))
     assert not (tmp_path / "out").exists()

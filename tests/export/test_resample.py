@@ -20,7 +20,7 @@ from tests.rendered import SMALL, write_rendered_dataset
 from tests.unrendered import change_frame, frame_count, write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.lowdim import SIMULATION, recorded_actions
+from yamsim_cli.core.dataset.lowdim import SIMULATION_KEYS, recorded_actions
 from yamsim_cli.core.dataset.reader import open_episode, read_recording_config
 from yamsim_cli.core.episode.episode_rules import EXPERT_RULES
 from yamsim_cli.core.episode.execution import simulate_actions
@@ -100,7 +100,7 @@ def test_physics_that_deviates_is_refused(dataset: Path, locations: Locations, t
     options = RaidenOptions(pictures="nearest")
     with pytest.raises(DatasetError, match=r"repeated in physics, lead .* away by frame 21, .* --fps source"):
         export_raiden(open_source(copy, "0", locations), tmp_path / "out", locations, lambda *_: None, options)
-    for key in SIMULATION:
+    for key in SIMULATION_KEYS:
         for k in range(frame_count(copy / "ep_000000")):
             change_frame(copy / "ep_000000", k, rehash=True, **{key: None})
     with pytest.raises(DatasetError, match=r"holds no sim_qpos, sim_ctrl and sim_magnet, .* --fps source"):

@@ -52,7 +52,7 @@ from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment
 from yamsim_cli.kitchenbench.policy import PlanningScene, YamsimExpert, is_still, segment_actions
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper, commanded_opening, commanded_share, scene_fingers
 from yamsim_cli.kitchenbench.skill_programs import build_scene_program
-from yamsim_cli.kitchenbench.sorting import PickNarrow, PlaceInCompartment, PutBesideTray, Slide, Sort
+from yamsim_cli.kitchenbench.sorting import PickNarrowObject, PlaceInCompartment, PutBesideTray, Slide, Sort
 from yamsim_cli.kitchenbench.success_judges import KitchenWorld
 
 BASES = [np.array((0.0, 0.305)), np.array((0.0, -0.305))]
@@ -105,7 +105,7 @@ def test_only_what_waits_is_still(expert_bench: PlanningContext) -> None:
     hand = expert_bench.hands[0]
     assert is_still(expert_bench.wait_segment(4))
     closing = {hand: FingerTarget(0.0, 10.0)}
-    assert not is_still(expert_bench.make_segment({hand: expert_bench.still_motion(hand, 10)}, closing))
+    assert not is_still(expert_bench.make_segment({hand: expert_bench.hold_still_motion(hand, 10)}, closing))
 
 
 def test_cutlery_has_places_in_its_compartment_and_beside_the_tray() -> None:
@@ -189,14 +189,14 @@ def test_a_grip_that_slipped_is_not_tried_again(expert_bench: PlanningContext, m
         yield
 
     monkeypatch.setattr(Pick, "grasp_and_lift", slips)
-    grab = PickNarrow(thing=thing)
+    grab = PickNarrowObject(thing=thing)
     with pytest.raises(SkillFailedError):
         list(
             grab.grasp_and_lift(
                 expert_bench, hand, thing, ReachableGrasp(grip, hand.ready_joints, hand.ready_joints, grip.opening)
             )
         )
-    assert hand.has_failed_with(thing, grip.T_pinch_in_thing)
+    assert hand.is_similar_to_failed_grasp(thing, grip.T_pinch_in_thing)
     assert grab.find_reachable_grasp(expert_bench, hand, thing, grip) is None
 
 
@@ -212,7 +212,9 @@ def test_a_piece_is_put_down_where_it_can_be_taken_on() -> None:
                 return None
 
         nearest = PutBesideTray(thing="spoon_1").goal_poses(bench, roles, "spoon_1")
-        taken_on = PutBesideTray(thing="spoon_1", then=Onwards(thing="spoon_1")).goal_poses(bench, roles, "spoon_1")
+        taken_on = PutBesideTray(thing="spoon_1", next_place_skill=Onwards(thing="spoon_1")).goal_poses(
+            bench, roles, "spoon_1"
+        )
         assert len(nearest) == len(taken_on)
         grips = [
             (hand, next(bench.grasp_candidates("spoon_1", hand.max_opening)).T_pinch_in_thing)

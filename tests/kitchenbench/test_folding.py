@@ -51,8 +51,8 @@ def folded(points: Array) -> Array:
 @pytest.mark.parametrize("turned_deg", [0.0, 30.0, 77.0])
 def test_a_flat_cloth_is_folded_through_lines_of_points(turned_deg: float) -> None:
     points = sheet(turned_deg)
-    whole = [way for way in possible_folds(points, single=True) if len(way.corners) == 2 and way.share > 0.49]
-    assert len(whole) == 4 and all(way.layers == way.beneath == 0 for way in whole)
+    whole = [way for way in possible_folds(points, single=True) if len(way.corners) == 2 and way.folded_share > 0.49]
+    assert len(whole) == 4 and all(way.layers == way.points_beneath == 0 for way in whole)
     corners = {point for way in whole for point, _ in way.corners}
     assert corners == {(0, 0), (0, 8), (12, 0), (12, 8)}
     for way in whole:
@@ -67,10 +67,10 @@ def test_a_flat_cloth_is_folded_through_lines_of_points(turned_deg: float) -> No
 
 def test_of_several_layers_all_are_counted() -> None:
     ways = possible_folds(folded(sheet()), single=False)
-    halves = {frozenset(point for point, _ in way.corners): way for way in ways if way.share > 0.49}
+    halves = {frozenset(point for point, _ in way.corners): way for way in ways if way.folded_share > 0.49}
     crease, opening = halves[frozenset({(6, 0), (6, 8)})], halves[frozenset({(0, 0), (0, 8)})]
-    assert (crease.layers, crease.beneath) == (1, 0)
-    assert (opening.layers, opening.beneath) == (1, 2)
+    assert (crease.layers, crease.points_beneath) == (1, 0)
+    assert (opening.layers, opening.points_beneath) == (1, 2)
     assert crease.area == pytest.approx(0.4 * 0.15)
 
 
@@ -83,7 +83,7 @@ def test_layers_are_laid_farther_than_what_has_a_wrinkle() -> None:
         ways = [
             way
             for way in possible_folds(wrinkled, single)
-            if way.grasped_points == ((0, 0), (0, 8)) and way.share > 0.49
+            if way.grasped_points == ((0, 0), (0, 8)) and way.folded_share > 0.49
         ]
         return [float(to[1] - wrinkled[12, 0, 1]) for way in ways for _, to in way.corners]
 

@@ -22,7 +22,7 @@ from tests.attempts import all_actions
 from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.reader import read_recording_config
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.episode.execution import simulate_expert
 from yamsim_cli.core.episode.expert import arm_sides
 from yamsim_cli.core.episode.sampling import sample_attempt
@@ -175,9 +175,9 @@ def test_what_is_recorded_is_made_again_without_the_benchmark(
 ) -> None:
     out = tmp_path / "dataset"
     watch = RecordCallbacks(lambda done, wanted, attempts: None, lambda text: None)
-    record(session, RecordingOutput(out, OpenMode.NEW), InlineExecutorFactory(), watch, StopRequest())
+    record(session, RecordingOutput(out, ExistingDatasetMode.NEW), InlineExecutorFactory(), watch, StopRequest())
     monkeypatch.setitem(__import__("sys").modules, "kitchenbench", None)
     again = Session(read_recording_config(out, locations), locations).without_meshes()
     with EpisodeVerifier(again, Tolerances(0.0, 0.0)) as verifier:
         verdict = verifier.run((0, out / "ep_000000"))
-    assert verdict.agrees, verdict
+    assert verdict.is_reproduced, verdict

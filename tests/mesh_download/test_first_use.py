@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 from tests.core.scene.assets.conftest import AssetFixture
-from yamsim_cli.core.files.resources import Meshes
+from yamsim_cli.core.files.resources import MeshFolders
 from yamsim_cli.mesh_download.fetch import FAILURE_VALID_S, default_sources, fetch
 from yamsim_cli.session_opener import SessionOpener
 
-Look = Callable[..., tuple[Meshes, list[str]]]
+Look = Callable[..., tuple[MeshFolders, list[str]]]
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def look(world: AssetFixture, local_pip: None, monkeypatch: pytest.MonkeyPatch) 
     """Look for the small set as a command does. Return the folders of meshes, and the notes to the user."""
     monkeypatch.setenv("MENAGERIE_ROOT", str(world.index))
 
-    def found(**environ: str) -> tuple[Meshes, list[str]]:
+    def found(**environ: str) -> tuple[MeshFolders, list[str]]:
         told = list[str]()
         return SessionOpener(environ, told.append, str).with_mesh_folders(world.locations, ["tiny"]).meshes, told
 
@@ -71,17 +71,17 @@ def test_a_failure_keeps_later_commands_from_waiting_for_an_hour(
     assert meshes == {"tiny": None}
     assert "failed less than an hour ago" in told[1]
     past = time.time() - FAILURE_VALID_S - 1
-    os.utime(world.store.failure_mark, (past, past))
+    os.utime(world.store.fetch_failure_file, (past, past))
     assert look()[0]["tiny"] is not None
-    assert not world.store.failure_mark.exists()
+    assert not world.store.fetch_failure_file.exists()
 
 
 def test_a_fetch_that_works_ends_the_hour(look: Look, world: AssetFixture) -> None:
     world.store.root.mkdir()
-    world.store.failure_mark.touch()
+    world.store.fetch_failure_file.touch()
     assert look()[0] == {"tiny": None}
     fetch(world.lock, ["tiny"], world.store, default_sources(world.lock))
-    assert not world.store.failure_mark.exists()
+    assert not world.store.fetch_failure_file.exists()
 
 
 def test_a_store_that_cannot_be_written_shows_primitives(look: Look, world: AssetFixture) -> None:
@@ -96,7 +96,7 @@ def test_an_index_that_says_nothing_is_given_up_after_the_first_set(
 ) -> None:
     tiny = world.raw["sets"]["tiny"]
     world.write_lock(world.raw | {"sets": {"tiny": tiny, "other": tiny | {"name": "other"}}})
-    monkeypatch.setattr(sys.modules[default_sources.__module__], "IDLE_S", 1.0)
+    monkeypatch.setattr(sys.modules[default_sources.__module__], "MAX_IDLE_S", 1.0)
     monkeypatch.delenv("PIP_NO_INDEX")
     monkeypatch.delenv("PIP_FIND_LINKS")
     with socket.create_server(("127.0.0.1", 0)) as silent:

@@ -24,8 +24,8 @@ from yamsim_cli.core.scene.objects.scene_object import add_object
 from yamsim_cli.objects.building import ImportOptions, build_object
 from yamsim_cli.objects.certify.single_object_pick import reachable_grasp_points
 from yamsim_cli.objects.convex_decomposition import decompose_body
-from yamsim_cli.objects.importing.file_import import import_directly, import_file, object_name_of
-from yamsim_cli.objects.part_surfaces import solid_or_sheet
+from yamsim_cli.objects.importing.file_import import import_file, import_with_defaults, object_name_of
+from yamsim_cli.objects.part_surfaces import mass_properties_and_is_solid
 from yamsim_cli.objects.primitives import PointBody
 from yamsim_cli.objects.readers.object_parts import ObjectDescription, RigidPart, Surface, SurfaceMaterial
 from yamsim_cli.objects.readers.object_reader import UnitOptions
@@ -69,7 +69,7 @@ def test_a_plane_is_refused_since_it_has_no_volume(tilt: float) -> None:
 
 def test_an_open_surface_has_the_mass_of_a_sheet() -> None:
     vertices, faces = mug_mesh(32)
-    held, closed = solid_or_sheet(vertices, faces[5:].astype(np.int32))
+    held, closed = mass_properties_and_is_solid(vertices, faces[5:].astype(np.int32))
     assert not closed
     assert held.volume == pytest.approx(2 * uniform_mass_properties(vertices, faces.astype(np.int32)).volume, rel=0.6)
 
@@ -224,9 +224,9 @@ def test_joints_of_a_file_move_in_a_scene(tmp_path: Path, name: str, text: str) 
 def test_a_file_stands_in_for_a_config(tmp_path: Path) -> None:
     where = Locations((tmp_path,), tmp_path / "assets")
     (tmp_path / "cabinet.sdf").write_text(cabinet_sdf())
-    first = import_directly(tmp_path / "cabinet.sdf", where)
+    first = import_with_defaults(tmp_path / "cabinet.sdf", where)
     assert first.path.parent == tmp_path / "assets" / "imports"
-    assert import_directly(tmp_path / "cabinet.sdf", where).path == first.path
+    assert import_with_defaults(tmp_path / "cabinet.sdf", where).path == first.path
     assert [link.name for link in first.config.links] == ["drawer"]
     assert first.config.handles == () and [h.name for h in first.config.links[0].handles] == ["handle_fin"]
 

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
+from yamsim_cli.camera_effects.lens_distortion import LensWarp, project_points, viewing_ray_grid, viewing_rays
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.photos.lens_distortion import LensWarp, project_points, viewing_ray_grid, viewing_rays
 
 PLAIN = CameraModel(640, 480, ((600.0, 0.0, 330.0), (0.0, 598.0, 231.0), (0.0, 0.0, 1.0)))
 # A webcam; and a wide-angle lens with all eight coefficients of OpenCV's rational model, 93 degrees across.

@@ -8,13 +8,13 @@ import pytest
 
 from yamsim_cli.core.geometry.se3 import pose, rotation_from_vector
 from yamsim_cli.photos.edge_alignment import (
-    DEFAULT_REACH,
+    DEFAULT_SEARCH_DISTANCE,
     PoseCorrection,
     edge_equations,
     edge_offsets,
     grain_px,
     mask_outline,
-    search_radii,
+    search_distances,
     solve_correction,
 )
 
@@ -72,7 +72,7 @@ def test_edges_are_found_to_a_fraction_of_a_pixel(offset: float) -> None:
 
 def test_what_has_no_edge_counts_as_far() -> None:
     nothing = edge_offsets(np.full((240, 320), 100, np.uint8), mask_outline(mask()))
-    assert (nothing.found_share, nothing.median_distance) == (0.0, DEFAULT_REACH)
+    assert (nothing.found_share, nothing.median_distance) == (0.0, DEFAULT_SEARCH_DISTANCE)
     faint = edge_offsets((disk() // 40) + 100, mask_outline(mask()))
     assert faint.found_share == 0.0
     assert edge_offsets(disk(), mask_outline(np.zeros((240, 320), bool))).median_distance is None
@@ -84,7 +84,7 @@ def test_large_photos_are_looked_at_in_larger_grains() -> None:
     shape = (2400, 3200)
     line = mask_outline(mask((1600.0, 1200.0), 600.0, shape))
     off = edge_offsets(disk((1600.0, 1200.0), 620.0, shape), line)
-    assert off.reach == 3 * DEFAULT_REACH
+    assert off.search_distance == 3 * DEFAULT_SEARCH_DISTANCE
     assert np.nanmean(off.offsets) == pytest.approx(20.0, abs=0.5)
 
 
@@ -95,7 +95,7 @@ def test_a_flat_disk_is_pulled_back_onto_its_picture() -> None:
     so_far = np.zeros(6)
     # A disk's rotation hardly shows; left free, it would compensate some of the shift.
     weak = np.diag([1e6] * 3 + [10.0] * 3)
-    for reach in search_radii():
+    for reach in search_distances():
         centre = (160 + 500 * T[0, 3] / T[2, 3], 120 + 500 * T[1, 3] / T[2, 3])
         line = mask_outline(mask(centre, RADIUS / T[2, 3]))
         offsets = edge_offsets(photo, line, reach).offsets

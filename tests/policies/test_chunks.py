@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -87,6 +89,45 @@ def test_of_a_chunk_that_is_all_too_late_the_last_action_acts() -> None:
 def test_the_measured_latency_is_how_long_the_answer_took() -> None:
     player = ChunkScheduler(ChunkSettings(latency=None), TICK, 1, REST)
     assert played(player, 4, seconds=0.040) == [-1, -1, 2, 3]
+
+
+def continued(player: ChunkScheduler, ticks: int, actions: int, period: float) -> tuple[list[float], list[int]]:
+    """Return the executed actions per tick, which count up over all chunks, and the ticks of the requests."""
+    acted, asked = [], []
+    for now in range(ticks):
+        if player.is_due(now):
+            rows = chunk(actions * len(asked), actions)
+            player.add_chunk(ActionChunk(rows.ctrl, rows.magnet, False, period), now, 0.0)
+            asked.append(now)
+        acted.append(float(player.command_at(now)[0][0, 0]))
+    return acted, asked
+
+
+def test_chunks_that_continue_each_other_are_requested_before_and_begin_after() -> None:
+    acted, asked = continued(ChunkScheduler(ChunkSettings(lead=2), TICK, 1, REST), 13, 5, TICK)
+    assert acted == list(range(13))
+    # With the observation at the third action of five, after which two are left.
+    assert asked == [0, 2, 7, 12]
+
+
+def test_a_late_chunk_that_continues_begins_when_it_arrives() -> None:
+    """Nothing is left out, and the last action is held meanwhile."""
+    player = ChunkScheduler(ChunkSettings(lead=2, latency=4 * TICK), TICK, 1, REST)
+    acted, asked = continued(player, 17, 5, TICK)
+    assert acted == [-1, -1, -1, -1, 0, 1, 2, 3, 4, 4, 5, 6, 7, 8, 9, 9, 10]
+    assert asked == [0, 6, 12]
+    assert player.chunk_stats == ChunkStats(chunks=3, actions=15, stale=0, waited=6)
+
+
+def test_a_chunk_in_time_continues_without_a_pause() -> None:
+    acted, asked = continued(ChunkScheduler(ChunkSettings(lead=2, latency=3 * TICK), TICK, 1, REST), 13, 5, TICK)
+    assert (acted, asked) == ([-1, -1, -1, *range(10)], [0, 5, 10])
+
+
+def test_chunks_that_continue_keep_their_rate_over_many() -> None:
+    """33.3 ms on ticks of 32 ms: a chunk ends between two ticks."""
+    acted, _ = continued(ChunkScheduler(ChunkSettings(lead=4), TICK, 1, REST), 1000, 15, 1 / 30)
+    assert acted == [math.floor(now * TICK * 30 + 1e-6) for now in range(1000)]
 
 
 def test_chunks_that_overlap_are_averaged() -> None:

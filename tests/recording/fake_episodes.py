@@ -11,7 +11,7 @@ from yamsim_cli.core.closable import Closable
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.dataset_paths import image_path, lowdim_path
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.dataset.writing.ledger import Ledger
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.workers.executors import LostJobError
@@ -96,7 +96,9 @@ class Recording:
         self.locations = Locations(Locations.from_environment({}).data, Path("/nowhere"))
         self.stop = StopRequest()
 
-    def run(self, executor: Inline | None = None, mode: OpenMode = OpenMode.NEW, workers: int = 2) -> RecordReport:
+    def run(
+        self, executor: Inline | None = None, mode: ExistingDatasetMode = ExistingDatasetMode.NEW, workers: int = 2
+    ) -> RecordReport:
         locations = replace(self.locations, meshes=self.meshes)
         return record(
             Session(self.config.model_copy(update={"workers": workers}), locations),
@@ -107,7 +109,7 @@ class Recording:
         )
 
     def resume(self, executor: Inline | None = None) -> RecordReport:
-        return self.run(executor, OpenMode.RESUME)
+        return self.run(executor, ExistingDatasetMode.RESUME)
 
     def causes(self) -> list[str | None]:
         return [attempt.outcome.cause for attempt in Ledger(self.path).known_attempts.values()]

@@ -10,7 +10,7 @@ import pytest
 
 from yamsim_cli.api import API_SESSION_OPENER, record
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.expert.skills.program import SKILL_SECONDS, SKILLS, typical_tick_count
 from yamsim_cli.recording.collect import RecordCallbacks
@@ -58,13 +58,13 @@ def test_a_task_as_data_starts_on_a_disk_that_has_room_for_it(tmp_path: Path, mo
     monkeypatch.setattr(os, "statvfs", lambda place: disk)
     told: list[str] = []
     watch, config = RecordCallbacks(lambda *_: None, told.append), config_of("tower")
-    with open_destination(config, RecordingOutput(tmp_path / "fits", OpenMode.NEW), watch):
+    with open_destination(config, RecordingOutput(tmp_path / "fits", ExistingDatasetMode.NEW), watch):
         assert told == []
     disk.f_bavail = 8_000_000 // 4096
-    with open_destination(config, RecordingOutput(tmp_path / "tight", OpenMode.NEW), watch):
+    with open_destination(config, RecordingOutput(tmp_path / "tight", ExistingDatasetMode.NEW), watch):
         assert "probably" in told[0]
     disk.f_bavail = 4_000_000 // 4096
-    full = open_destination(config, RecordingOutput(tmp_path / "full", OpenMode.NEW), watch)
+    full = open_destination(config, RecordingOutput(tmp_path / "full", ExistingDatasetMode.NEW), watch)
     with pytest.raises(ResourceError, match="3 episodes take at least"), full:
         pass
 
@@ -86,5 +86,5 @@ def test_what_is_recorded_takes_about_the_room_that_was_estimated(
         config = config_of(task).model_copy(update={"episodes": 1})
         with monkeypatch.context() as patched:
             patched.setattr(os, "statvfs", lambda place, disk=disk: disk)
-            with open_destination(config, RecordingOutput(tmp_path / str(inodes), OpenMode.NEW), watch):
+            with open_destination(config, RecordingOutput(tmp_path / str(inodes), ExistingDatasetMode.NEW), watch):
                 assert (told == []) is fits

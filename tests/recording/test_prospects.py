@@ -174,5 +174,5 @@ def test_starts_tell_whether_anything_is_in_reach(
     cause: FailureCause,
     wanted: bool,
 ) -> None:
-    monkeypatch.setattr("yamsim_cli.recording.retry_limit.STARTS_TO_CHECK", 20)
+    monkeypatch.setattr("yamsim_cli.recording.retry_limit.CHECKED_STARTS", 20)
     assert all_starts_fail(Session(make_config(changes), locations), cause, 10) is wanted

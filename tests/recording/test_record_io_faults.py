@@ -16,7 +16,7 @@ from tests.core.dataset.making import tree
 from tests.recording.fake_episodes import Recording
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.dataset_paths import CONFIG_FILE
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.dataset.writing.integrity import inspect_episodes
 from yamsim_cli.core.dataset.writing.ledger import Ledger
 from yamsim_cli.core.errors import PartialJobError, ResourceError
@@ -55,7 +55,7 @@ class FailingDisk:
         return call
 
 
-def run(config: RecordConfig, path: Path, mode: OpenMode, *, staged: bool = False) -> None:
+def run(config: RecordConfig, path: Path, mode: ExistingDatasetMode, *, staged: bool = False) -> None:
     Recording(config, path, path.with_name(f"{path.name}-stage") if staged else None).run(mode=mode)
 
 
@@ -97,7 +97,7 @@ def test_whichever_call_fails_nothing_is_lost(
     """With a stage two threads write, so the n-th call varies."""
     with monkeypatch.context() as patch:
         disk = FailingDisk(patch)
-        run(config, tmp_path / "undisturbed", OpenMode.NEW, staged=staged)
+        run(config, tmp_path / "undisturbed", ExistingDatasetMode.NEW, staged=staged)
     wanted = tree(tmp_path / "undisturbed")
     assert disk.calls > 40
 
@@ -106,7 +106,7 @@ def test_whichever_call_fails_nothing_is_lost(
         with monkeypatch.context() as patch:
             FailingDisk(patch, nth, fault)
             try:
-                run(config, path, OpenMode.NEW, staged=staged)
+                run(config, path, ExistingDatasetMode.NEW, staged=staged)
                 survived = True
             except (PartialJobError, ResourceError) as error:
                 survived = False
@@ -115,7 +115,7 @@ def test_whichever_call_fails_nothing_is_lost(
         if survived:
             # Only clean-up may fail silently.
             assert wanted.items() <= tree(path).items(), nth
-        run(config, path, OpenMode.RESUME, staged=staged)
+        run(config, path, ExistingDatasetMode.RESUME, staged=staged)
         assert tree(path) == wanted, nth
         assert not staged or list(path.with_name(f"{path.name}-stage").iterdir()) == [], nth
     print(f"{disk.calls} faults injected and survived, 0 episodes lost")
@@ -129,19 +129,19 @@ def test_whichever_call_fails_in_resuming_nothing_is_lost(
     """From the state with the most to repair: a damaged episode, a lost one, a truncated ledger, no manifest."""
 
     def damaged(path: Path) -> None:
-        run(config, path, OpenMode.NEW)
+        run(config, path, ExistingDatasetMode.NEW)
         (path / "ep_000000/lowdim/000000.pkl").write_bytes(b"")
         (path / "ep_000001/episode.json").unlink()
         (path / "manifest.json").unlink()
         ledger = path / "attempts.jsonl"
         ledger.write_bytes(ledger.read_bytes()[:-10])
 
-    run(config, tmp_path / "undisturbed", OpenMode.NEW)
+    run(config, tmp_path / "undisturbed", ExistingDatasetMode.NEW)
     wanted = tree(tmp_path / "undisturbed")
     damaged(tmp_path / "count")
     with monkeypatch.context() as patch:
         disk = FailingDisk(patch)
-        run(config, tmp_path / "count", OpenMode.RESUME)
+        run(config, tmp_path / "count", ExistingDatasetMode.RESUME)
 
     for nth in every_third(disk.calls, fault):
         path = tmp_path / f"{nth}"
@@ -149,8 +149,8 @@ def test_whichever_call_fails_in_resuming_nothing_is_lost(
         with monkeypatch.context() as patch:
             FailingDisk(patch, nth, fault)
             with contextlib.suppress(PartialJobError, ResourceError):
-                run(config, path, OpenMode.RESUME)
-        run(config, path, OpenMode.RESUME)
+                run(config, path, ExistingDatasetMode.RESUME)
+        run(config, path, ExistingDatasetMode.RESUME)
         mended = {name: data for name, data in tree(path).items() if not name.startswith(".damaged/")}
         assert mended == wanted, nth
         aside = [p for p in (path / ".damaged").iterdir() if p.is_dir()]

@@ -14,7 +14,7 @@ from tests.recording.fake_episodes import Inline, Recording
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord
 from yamsim_cli.core.dataset.writing import staged_writer as stage_module
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.errors import InterruptedJobError, PartialJobError, ResourceError
 from yamsim_cli.core.workers.stop_request import StopRequest
@@ -199,7 +199,7 @@ def test_a_stage_of_another_recording_is_moved_not_thrown_away(
     monkeypatch.undo()
     kept = waiting(recording)
     recording.config = recording.config.model_copy(update={"seed": 2})
-    recording.run(mode=OpenMode.OVERWRITE)
+    recording.run(mode=ExistingDatasetMode.OVERWRITE)
     assert recording.stage
     (moved,) = recording.stage.iterdir()
     assert sorted(path.name for path in moved.glob("ep_*")) == kept

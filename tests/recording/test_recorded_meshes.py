@@ -22,11 +22,11 @@ from yamsim_cli.core.config.loader import parse_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.reader import open_episodes
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.episode.runner import AttemptRunner
 from yamsim_cli.core.errors import ConfigError, ResourceError
 from yamsim_cli.core.files.documents.yaml_document import load_yaml
-from yamsim_cli.core.files.resources import Locations, Meshes
+from yamsim_cli.core.files.resources import Locations, MeshFolders
 from yamsim_cli.core.geometry.stl import encode_stl
 from yamsim_cli.core.scene.build import with_mesh_descriptions
 from yamsim_cli.core.workers.executors import InlineExecutor
@@ -42,11 +42,11 @@ def recording(make_config: Make, tmp_path: Path) -> Recording:
 
 
 @pytest.fixture
-def meshes(locations: Locations, tmp_path: Path) -> Meshes:
+def meshes(locations: Locations, tmp_path: Path) -> MeshFolders:
     return stand_ins(tmp_path / "meshes", locations, ARM, YCB, SMALL)
 
 
-def go_on(recording: Recording, meshes: Meshes, mode: OpenMode = OpenMode.RESUME) -> None:
+def go_on(recording: Recording, meshes: MeshFolders, mode: ExistingDatasetMode = ExistingDatasetMode.RESUME) -> None:
     """Record more, with these meshes."""
     recording.meshes = meshes
     recording.config = recording.config.model_copy(update={"episodes": recording.config.episodes + 1})
@@ -54,7 +54,7 @@ def go_on(recording: Recording, meshes: Meshes, mode: OpenMode = OpenMode.RESUME
 
 
 def test_the_config_and_every_episode_name_the_meshes(
-    recording: Recording, meshes: Meshes, locations: Locations
+    recording: Recording, meshes: MeshFolders, locations: Locations
 ) -> None:
     recording.meshes = meshes | {YCB: None}
     recording.run()
@@ -67,7 +67,7 @@ def test_the_config_and_every_episode_name_the_meshes(
     assert parse_config(RecordConfig, text, "config.yaml", locations).meshes == said
 
 
-def test_meshes_that_came_since_do_not_go_into_the_same_dataset(recording: Recording, meshes: Meshes) -> None:
+def test_meshes_that_came_since_do_not_go_into_the_same_dataset(recording: Recording, meshes: MeshFolders) -> None:
     recording.run()
     before = tree(recording.path)
     with pytest.raises(ConfigError) as caught:
@@ -82,7 +82,7 @@ def test_meshes_that_came_since_do_not_go_into_the_same_dataset(recording: Recor
     go_on(recording, {})
 
 
-def test_meshes_that_went_since_do_not_either(recording: Recording, meshes: Meshes) -> None:
+def test_meshes_that_went_since_do_not_either(recording: Recording, meshes: MeshFolders) -> None:
     recording.meshes = meshes
     recording.run()
     before = tree(recording.path)
@@ -98,7 +98,7 @@ def test_meshes_that_went_since_do_not_either(recording: Recording, meshes: Mesh
 
 @pytest.mark.parametrize("change", [{"edge": 0.03}, {"reduced": True}])
 def test_other_meshes_do_not_either(
-    recording: Recording, meshes: Meshes, locations: Locations, tmp_path: Path, change: dict[str, float]
+    recording: Recording, meshes: MeshFolders, locations: Locations, tmp_path: Path, change: dict[str, float]
 ) -> None:
     recording.meshes = meshes
     recording.run()
@@ -107,13 +107,13 @@ def test_other_meshes_do_not_either(
         go_on(recording, meshes | others)
 
 
-def test_what_is_not_shown_does_not_matter(recording: Recording, meshes: Meshes) -> None:
+def test_what_is_not_shown_does_not_matter(recording: Recording, meshes: MeshFolders) -> None:
     recording.meshes = meshes
     recording.run()
     go_on(recording, meshes | {SMALL: None})
 
 
-def test_distractors_matter_where_they_are_shown(recording: Recording, meshes: Meshes, make_config: Make) -> None:
+def test_distractors_matter_where_they_are_shown(recording: Recording, meshes: MeshFolders, make_config: Make) -> None:
     recording.config = make_config({("episodes",): 2, ("seed",): 1, ("randomization",): "default"})
     recording.meshes = meshes
     recording.run()
@@ -122,7 +122,7 @@ def test_distractors_matter_where_they_are_shown(recording: Recording, meshes: M
 
 
 def test_of_another_configuration_its_keys_are_named_first(
-    recording: Recording, meshes: Meshes, make_config: Make
+    recording: Recording, meshes: MeshFolders, make_config: Make
 ) -> None:
     recording.run()
     recording.config = make_config({("episodes",): 3, ("seed",): 2})
@@ -132,7 +132,7 @@ def test_of_another_configuration_its_keys_are_named_first(
         go_on(recording, meshes)
 
 
-def test_a_recorded_config_asks_for_no_meshes_in_a_new_dataset(recording: Recording, meshes: Meshes) -> None:
+def test_a_recorded_config_asks_for_no_meshes_in_a_new_dataset(recording: Recording, meshes: MeshFolders) -> None:
     """Its statement holds for that dataset only."""
     there = replace(Locations.from_environment({}), meshes=meshes)
     recording.config = with_mesh_descriptions(Session(recording.config, there)).config
@@ -160,7 +160,7 @@ class TestOfAnEarlierVersion:
         assert says_nothing(recording.path)
         return recording
 
-    def test_goes_on_saying_nothing_and_the_user_is_told(self, old: Recording, meshes: Meshes) -> None:
+    def test_goes_on_saying_nothing_and_the_user_is_told(self, old: Recording, meshes: MeshFolders) -> None:
         before = tree(old.path)
         go_on(old, meshes)
         (told,) = old.warnings
@@ -187,7 +187,7 @@ class TestOfAnEarlierVersion:
 class WithOther:
     """Executors whose workers find other meshes than the recorder."""
 
-    meshes: Meshes
+    meshes: MeshFolders
 
     def open(self, session: Session, workers: int) -> InlineExecutor:
         session = replace(session, locations=replace(session.locations, meshes=self.meshes))
@@ -195,7 +195,7 @@ class WithOther:
         return InlineExecutor(factory)
 
 
-def test_a_worker_that_would_draw_otherwise_is_refused_at_the_start(recording: Recording, meshes: Meshes) -> None:
+def test_a_worker_that_would_draw_otherwise_is_refused_at_the_start(recording: Recording, meshes: MeshFolders) -> None:
     recording.meshes = meshes
     with pytest.raises(ResourceError) as caught:
         recording.run(WithOther(meshes | {YCB: None}))
@@ -206,7 +206,7 @@ def test_a_worker_that_would_draw_otherwise_is_refused_at_the_start(recording: R
         str(caught.value),
     )
     assert json.loads((recording.path / "manifest.json").read_text())["episodes"] == []
-    recording.run(Inline(), OpenMode.RESUME)
+    recording.run(Inline(), ExistingDatasetMode.RESUME)
 
 
 FRUIT = {

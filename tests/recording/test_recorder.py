@@ -14,7 +14,7 @@ from tests.core.dataset.making import tree
 from tests.recording.fake_episodes import Inline, Recording, payload
 from yamsim_cli.core.attempt_data import Attempt, AttemptJob, AttemptPayload, FailureCause, Outcome
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError, PartialJobError, ResourceError
 from yamsim_cli.core.expert.skills.program import typical_tick_count
 from yamsim_cli.core.files.filesystem_mounts import Mount
@@ -168,7 +168,7 @@ def test_a_stop_before_a_lost_line_is_told_again_loses_nothing(
         return payload(job)
 
     with pytest.raises(InterruptedJobError, match=r"5 of 5 episodes"):
-        recording.run(Inline(interrupted), OpenMode.RESUME, workers=1)
+        recording.run(Inline(interrupted), ExistingDatasetMode.RESUME, workers=1)
     recording.resume()
     assert without_damaged(recording.path) == undisturbed
 

@@ -30,7 +30,7 @@ def cabinet_session(folder: Path, seed: int, locations: Any) -> Any:
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.recording import RecordConfig
     from yamsim_cli.core.config.session import Session
-    from yamsim_cli.objects.importing.file_import import import_directly
+    from yamsim_cli.objects.importing.file_import import import_with_defaults
     from yamsim_cli.viewers.teleop.teleop_scene import TeleopScene
 
     file = folder / "cabinet.sdf"
@@ -38,7 +38,7 @@ def cabinet_session(folder: Path, seed: int, locations: Any) -> Any:
     where = replace(locations, assets=folder / "assets")
     overrides = {
         ("task", "object"): "058_golf_ball",
-        ("task", "target"): str(import_directly(file, where).path),
+        ("task", "target"): str(import_with_defaults(file, where).path),
         ("task", "sampling", "target_yaw_deg"): (-12, 12),
         ("task", "sampling", "x"): (0.34, 0.44),
         ("task", "sampling", "y"): (-0.2, 0.2),

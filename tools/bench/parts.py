@@ -46,7 +46,7 @@ def measure_parts(episodes: int) -> dict[str, float]:
 def _ik_seconds(joints: list[Array]) -> float:
     using = setting("fast")
     solver = IkSolver(kinematic_model(using.config.rig.arms[0]), np.eye(4))
-    solver.set_held_frame(np.eye(4))
+    solver.set_held_object_frame(np.eye(4))
     targets = [solver.forward_kinematics(there) for there in joints]
     return median_seconds(lambda k: solver.solve(targets[k], joints[k - 5], 100), len(targets) - 1)
 

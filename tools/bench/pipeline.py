@@ -19,7 +19,7 @@ from tools.bench.floor import floor_seconds
 from tools.bench.pictures import Image, ssim
 from tools.bench.plain import PlainPipeline, plain_setting
 from tools.bench.setting import Stopwatch, setting
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.episode.attempt_payload import render_cameras
 from yamsim_cli.core.episode.execution import SimulatedAttempt
 from yamsim_cli.core.episode.simulator import Simulator
@@ -185,7 +185,7 @@ def _record(quality: str, workers: int, episodes: int) -> tuple[float, float]:
 
     began = time.perf_counter()
     with tempfile.TemporaryDirectory(dir=_PLACE) as place:
-        output = RecordingOutput(Path(place, "dataset"), OpenMode.NEW)
+        output = RecordingOutput(Path(place, "dataset"), ExistingDatasetMode.NEW)
         watch = RecordCallbacks(progress, lambda warning: None)
         record(session, output, ProcessExecutorFactory(), watch, StopRequest())
     return (came[-1] - came[workers - 1]) / episodes, came[0] - began

@@ -21,12 +21,12 @@ from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.policies.act import ActClient
 from yamsim_cli.policies.evaluate.policy_factory import _CONFIGS
-from yamsim_cli.policies.external_policy import MappedPolicy, PolicyClient, PolicyStation
+from yamsim_cli.policies.external_policy import MappedPolicy, PolicyClient, PolicyScene
 from yamsim_cli.policies.openpi import OpenpiClient, pack_openpi, unpack_openpi
 
 QUESTIONS = 300
 ANSWER = {"actions": np.zeros((30, 14))}
-STATION = PolicyStation(
+STATION = PolicyScene(
     "station", ("left", "right"), 7, (0.0475, 0.0475),
     {"top": "top_rgb", "left_wrist": "left_rgb", "right_wrist": "right_rgb"},
 )  # fmt: skip

@@ -22,7 +22,7 @@ from yamsim_cli.core.errors import YamsimError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.stl import encode_stl
 from yamsim_cli.objects.building import ImportOptions
-from yamsim_cli.objects.certify.physics_checks import find_hollow
+from yamsim_cli.objects.certify.physics_checks import find_deepest_hollow
 from yamsim_cli.objects.certify.tested_object import (
     TestedObject,
     compile_or_raise,
@@ -62,7 +62,7 @@ def main() -> None:
 
 def _measured(looked: TestedObject) -> tuple[str, str, str, str]:
     spec = object_on_ground_spec(looked)
-    found = find_hollow(looked) if looked.visual_surfaces else None
+    found = find_deepest_hollow(looked) if looked.visual_surfaces else None
     place = found.place if found else (0.0, 0.0)
     top = float(looked.collision_points[:, 2].max())
     body = spec.worldbody.add_body(name="ball", pos=[*place, top + 0.02])

@@ -9,8 +9,8 @@ import typer
 
 from yamsim_cli import __version__
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError, file_size
-from yamsim_cli.flags.output_files import Overwrite, require_unused
-from yamsim_cli.flags.session_options import Json, Offline, opener
+from yamsim_cli.flags.output_files import Overwrite, require_unused_paths
+from yamsim_cli.flags.session_options import Json, Offline, session_opener
 from yamsim_cli.terminal.console import print_json, print_line, print_note, print_report, progress_bar
 from yamsim_cli.terminal.tables import ItemTable
 
@@ -27,7 +27,7 @@ app = typer.Typer(
     help="List and fetch the robot and object meshes, and import and certify objects.", no_args_is_help=True
 )
 
-_VERDICTS = {True: "passed", False: "FAILED", None: "not checked"}
+_CHECK_RESULT_LABELS = {True: "passed", False: "FAILED", None: "not checked"}
 
 
 @app.command("list")
@@ -38,14 +38,14 @@ def list_assets(json: Json = False) -> None:
     """
     from yamsim_cli.terminal.console import print_table
 
-    lock, store = _open_store()
+    lock, store = _load_lock_and_open_store()
     items = [item for assets in lock.sets.values() for item in _file_entries(assets, store)]
     things = _certificate_entries(lock)
     if json:
         print_json({"items": items, "things": things})
     else:
-        print_table(_entry_table(items, ("name", "set", "status", "size"), 3))
-        print_table(_entry_table(things, ("name", "certificate", "failed"), 3))
+        print_table(_print_entry_table(items, ("name", "set", "status", "size"), 3))
+        print_table(_print_entry_table(things, ("name", "certificate", "failed"), 3))
         for assets in lock.sets.values():
             print_line(f"{assets.name} ({assets.license}): {store.file_states(assets)[0].path.parent}")
 
@@ -66,7 +66,7 @@ def fetch(
     """
     from yamsim_cli.terminal.console import print_table
 
-    lock, store = _open_store()
+    lock, store = _load_lock_and_open_store()
     report, reduced = _fetch_with_progress(lock, store, names or [])
     items = [
         {
@@ -86,15 +86,15 @@ def fetch(
     if json:
         print_json({"items": items})
     else:
-        print_table(_entry_table(items, ("name", "source", "files", "size", "faces", "reduced_faces"), 2))
+        print_table(_print_entry_table(items, ("name", "source", "files", "size", "faces", "reduced_faces"), 2))
         for item in items:
             print_line(f"{item['name']}: {item['path']}")
 
 
-def _open_store() -> tuple[AssetLock, AssetStore]:
+def _load_lock_and_open_store() -> tuple[AssetLock, AssetStore]:
     from yamsim_cli.core.scene.assets import AssetStore, load_lock
 
-    locations = opener.find_locations()
+    locations = session_opener.find_locations()
     return load_lock(locations), AssetStore(locations.assets)
 
 
@@ -119,7 +119,7 @@ def _certificate_entries(lock: AssetLock) -> list[dict[str, Any]]:
     from yamsim_cli.core.config.objects.object_config import ObjectConfig
     from yamsim_cli.core.scene.certificates import find_certificate
 
-    where = opener.find_locations()
+    where = session_opener.find_locations()
     found = list[dict[str, Any]]()
     for name in where.config_names("objects"):
         try:
@@ -146,17 +146,19 @@ def _fetch_with_progress(
         for fetched in report.sets:
             assets = lock.sets[fetched.name]
 
-            def made(done: int, total: int, label: str = f"{assets.name}: reducing") -> None:
+            def show_reduction_progress(done: int, total: int, label: str = f"{assets.name}: reducing") -> None:
                 advance(label, done, total, f"{done} of {total} files")
 
             try:
-                reduced[assets.name] = make_reduced(store, assets, fetched.directory, lock.notices[assets.notice], made)
+                reduced[assets.name] = make_reduced(
+                    store, assets, fetched.directory, lock.notices[assets.notice], show_reduction_progress
+                )
             except ResourceError as error:
                 print_note(f"No reduced meshes of {assets.name}: {error}")
     return report, reduced
 
 
-def _entry_table(items: Sequence[Mapping[str, Any]], columns: tuple[str, ...], numbers_from: int) -> ItemTable:
+def _print_entry_table(items: Sequence[Mapping[str, Any]], columns: tuple[str, ...], numbers_from: int) -> ItemTable:
     table = ItemTable([column.replace("_", " ") for column in columns], numbers_from=numbers_from)
     for item in items:
         table.add_row(*(_cell_text(column, item[column]) for column in columns))
@@ -186,10 +188,10 @@ def certify_object(
     Example: yamsim assets certify kitchen_bowl --html bowl.html
     """
     if html:
-        require_unused("--html", html, overwrite=overwrite)
-        opener.use_gl(opener.find_locations())
+        require_unused_paths("--html", html, overwrite=overwrite)
+        session_opener.choose_gl_backend(session_opener.find_locations())
     else:
-        opener.skip_gl()
+        session_opener.disable_gl()
     certified = _certify_and_store(thing)
     found = certified.to_json_data()
     if html:
@@ -208,7 +210,9 @@ def _certificate_table(checks: Sequence[Mapping[str, Any]]) -> ItemTable:
     table = ItemTable(["check", "", "figures"], numbers_from=3)
     for check in checks:
         figures = ", ".join(f"{name} {value}" for name, value in check["figures"].items())
-        table.add_row(check["code"], _VERDICTS[check["ok"]], "; ".join(filter(None, (check["note"], figures))))
+        table.add_row(
+            check["code"], _CHECK_RESULT_LABELS[check["ok"]], "; ".join(filter(None, (check["note"], figures)))
+        )
     return table
 
 
@@ -219,9 +223,9 @@ def _certify_and_store(thing: str) -> CertificationResult:
     from yamsim_cli.core.scene.certificates import store_certificate
     from yamsim_cli.objects.certify.certify import run_object_checks
 
-    where = opener.find_locations()
+    where = session_opener.find_locations()
     item = load_config(ObjectConfig, "objects", thing, where)
-    where = opener.with_mesh_folders(where, item.mesh_sets)
+    where = session_opener.with_mesh_folders(where, item.mesh_sets)
     with progress_bar(f"certifying {item.name}", "checks") as advance:
         certified = run_object_checks(item, where.meshes, where, advance)
     made_with = {"yamsim": __version__, "mujoco": version("mujoco")}
@@ -300,7 +304,7 @@ def import_object(
         item, lines = _import_file(file, UnitOptions(unit, up, scale), options, out)
     certified = None
     if certify:
-        opener.skip_gl()
+        session_opener.disable_gl()
         certified = _certify_and_store(item["path"])
     item["certificate"] = certified and {"ok": certified.ok, "failed": list(certified.failed_codes)}
     if json:
@@ -317,7 +321,7 @@ def import_object(
 def _import_ycb(name: str, mass: float | None, out: Path | None) -> tuple[dict[str, Any], list[str]]:
     from yamsim_cli.objects.importing.ycb_import import import_ycb
 
-    made = import_ycb(name, opener.find_locations(), None if mass is None else mass * 1000, out)
+    made = import_ycb(name, session_opener.find_locations(), None if mass is None else mass * 1000, out)
     item = _ycb_item(made)
     held = f"{item['width_mm']:g} mm wide where it is held" if item["width_mm"] else "a vessel to put things in or on"
     return item, [
@@ -335,7 +339,7 @@ def _import_file(
 
     with progress_bar(f"importing {file.name}", "%") as advance:
         imported = import_file(
-            file, units, options, opener.find_locations(), out, lambda done: advance(round(100 * done), 100)
+            file, units, options, session_opener.find_locations(), out, lambda done: advance(round(100 * done), 100)
         )
     made = imported.built_object
     for text in made.notes:

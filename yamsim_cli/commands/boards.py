@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import ConfigError, UsageError
-from yamsim_cli.flags.output_files import Overwrite, require_unused
-from yamsim_cli.flags.session_options import Json, opener
+from yamsim_cli.flags.output_files import Overwrite, require_unused_paths
+from yamsim_cli.flags.session_options import Json, session_opener
 from yamsim_cli.terminal.console import print_json, print_line
 
 if TYPE_CHECKING:
@@ -43,13 +43,13 @@ def boards(
     from yamsim_cli.core.files.writing import write_outputs
     from yamsim_cli.photos.board_sheet import PAPERS, board_sheet
 
-    arms = load_config(RigConfig, "rigs", rig, opener.find_locations()).arms
+    arms = load_config(RigConfig, "rigs", rig, session_opener.find_locations()).arms
     owned = {arm.name: arm.board for arm in arms if arm.board}
     if not owned:
         raise ConfigError(f"rig {rig!r} has no boards to print; give one of its arms a `board`, or choose another rig")
 
     for path in dict.fromkeys(_board_file(out, name) for name in owned):
-        require_unused("--out", path, overwrite=overwrite)
+        require_unused_paths("--out", path, overwrite=overwrite)
     sheets = {name: board_sheet(config.board_in_metres, name, PAPERS[paper]) for name, config in owned.items()}
     files = _board_files(sheets, out)
     write_outputs(files)

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.output_files import Rename
-from yamsim_cli.flags.session_options import Grasp, Json, Margin, Offline, Revision, Rig, Robot, opener
+from yamsim_cli.flags.output_files import RenameExisting
+from yamsim_cli.flags.session_options import Grasp, Json, Margin, Offline, Revision, Rig, Robot, session_opener
 from yamsim_cli.terminal.console import note_moved, print_json, print_line
 
 
@@ -33,7 +33,7 @@ def compose_xml(
         ),
     ] = "3.3",
     as_zip: Annotated[bool, typer.Option("--zip", help="One zip file instead of a folder.")] = False,
-    overwrite: Rename = False,
+    overwrite: RenameExisting = False,
     offline: Offline = False,
     json: Json = False,
 ) -> None:
@@ -43,8 +43,8 @@ def compose_xml(
     """
     if grasp is not None and task is None:
         raise UsageError("--grasp needs --task; give --task, or leave --grasp out")
-    where = opener.find_locations()
-    opener.skip_gl()
+    where = session_opener.find_locations()
+    session_opener.disable_gl()
 
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
@@ -56,18 +56,18 @@ def compose_xml(
     if task is None:
         scene, home = load_config(SceneConfig, "scenes", "studio", where), None
         blueprint = Blueprint(
-            opener.load_rig(rig or "single", where, margin, revision, robot),
+            session_opener.load_rig(rig or "single", where, margin, revision, robot),
             scene,
             boards=boards,
             background=background,
         )
     else:
-        config = opener.load_record_config(
+        config = session_opener.load_record_config(
             "default", where, rig=rig, revision=revision, robot=robot, margin=margin, task=task, seed=seed, grasp=grasp
         )
         config, home = first_attempt_start(Session(config, where))
         blueprint = task_blueprint(config, boards=boards, background=background)
-    where = opener.with_mesh_folders(where, visual_mesh_sets(blueprint))
+    where = session_opener.with_mesh_folders(where, visual_mesh_sets(blueprint))
     spec, model = compose_at_home(blueprint, where, home)
     target = out.with_name(f"{out.name}.zip") if as_zip and out.suffix != ".zip" else out
     report = write_scene(spec, model, target, as_zip=as_zip, overwrite=overwrite, reader=mujoco)

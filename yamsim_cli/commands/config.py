@@ -8,13 +8,13 @@ from typing import Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.session_options import Json, opener
+from yamsim_cli.flags.session_options import Json, session_opener
 from yamsim_cli.terminal.console import print_json, print_line, print_table
-from yamsim_cli.terminal.tables import FactTable
+from yamsim_cli.terminal.tables import NameValueTable
 
 app = typer.Typer(help="List, show and check configs.", no_args_is_help=True)
 
-Kind = Annotated[
+ConfigKindArgument = Annotated[
     str, typer.Argument(help="rigs, scenes, tasks, objects, cameras, quality or record.", show_default=False)
 ]
 
@@ -27,7 +27,7 @@ def list_configs(json: Json = False) -> None:
     """
     from yamsim_cli.core.config.loader import CONFIG_KINDS
 
-    where = opener.find_locations()
+    where = session_opener.find_locations()
     items = [
         {"kind": kind, "name": name, "path": str(where.config_file(kind, name))}
         for kind in CONFIG_KINDS
@@ -37,7 +37,9 @@ def list_configs(json: Json = False) -> None:
         print_json({"items": items})
         return
     print_table(
-        FactTable((kind, ", ".join(item["name"] for item in items if item["kind"] == kind)) for kind in CONFIG_KINDS)
+        NameValueTable(
+            (kind, ", ".join(item["name"] for item in items if item["kind"] == kind)) for kind in CONFIG_KINDS
+        )
     )
     for root in where.data:
         print_line(f"Configs are files such as {root / 'configs' / 'KIND' / 'NAME.yaml'}")
@@ -50,12 +52,14 @@ def _require_config_name(context: typer.Context, name: str) -> str:
     from yamsim_cli.core.config.loader import config_model
 
     config_model(kind)
-    raise typer.BadParameter(f"say which one; valid: {', '.join(opener.find_locations().config_names(kind)) or 'none'}")
+    raise typer.BadParameter(
+        f"say which one; valid: {', '.join(session_opener.find_locations().config_names(kind)) or 'none'}"
+    )
 
 
 @app.command()
 def show(
-    kind: Kind,
+    kind: ConfigKindArgument,
     name: Annotated[
         str, typer.Argument(help="A config's name or a YAML file.", show_default=False, callback=_require_config_name)
     ] = "",
@@ -68,7 +72,9 @@ def show(
     from yamsim_cli.core.config.loader import config_model, load_config
     from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 
-    data: dict[str, Any] = load_config(config_model(kind), kind, name, opener.find_locations()).model_dump(mode="json")
+    data: dict[str, Any] = load_config(config_model(kind), kind, name, session_opener.find_locations()).model_dump(
+        mode="json"
+    )
     if json:
         print_json(data)
     else:
@@ -94,7 +100,7 @@ def validate(
     guessed = kind or file.resolve().parent.name
     if kind is None and guessed not in CONFIG_KINDS:
         raise UsageError(f"{file} is in no folder named after a kind of config; give --kind: {', '.join(CONFIG_KINDS)}")
-    model, where = config_model(guessed), opener.find_locations()
+    model, where = config_model(guessed), session_opener.find_locations()
     parts = model.config_paths_in_file(file)
     for part in parts:
         validate_file(model, part, where, check=check_task_config)
@@ -106,7 +112,7 @@ def validate(
 
 
 @app.command()
-def schema(kind: Kind, json: Json = False) -> None:
+def schema(kind: ConfigKindArgument, json: Json = False) -> None:
     """Print the JSON schema of a kind of config, for editors that complete and check YAML. The output is always JSON.
 
     Example: yamsim config schema rigs > rig.schema.json

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.flags.session_options import Json, opener
-from yamsim_cli.terminal.console import print_json, print_line, print_text
+from yamsim_cli.flags.session_options import Json, session_opener
+from yamsim_cli.terminal.console import print_json, print_line, print_wrapped_text
 
 if TYPE_CHECKING:
     from yamsim_cli.doctor import HealthCheck
 
-_STYLES = {"ok": "green", "warning": "yellow", "fault": "bold red"}
+_HEALTH_STYLES = {"ok": "green", "warning": "yellow", "fault": "bold red"}
 
 
 def doctor(
@@ -29,7 +29,9 @@ def doctor(
     """
     from yamsim_cli.doctor import failed_checks, run_health_checks
 
-    checks = run_health_checks(os.environ, opener.find_locations(), out, (lambda check: None) if json else _print)
+    checks = run_health_checks(
+        os.environ, session_opener.find_locations(), out, (lambda check: None) if json else _print
+    )
     found = failed_checks(checks)
     if json:
         print_json({"ok": not found, "checks": [asdict(check) for check in checks]})
@@ -42,6 +44,6 @@ def doctor(
 
 
 def _print(check: HealthCheck) -> None:
-    print_text(f"{check.health:8}", f"{check.name}: {check.detail}", _STYLES[check.health])
+    print_wrapped_text(f"{check.health:8}", f"{check.name}: {check.detail}", _HEALTH_STYLES[check.health])
     if check.fix:
         print_line(f"{'':8}  -> {check.fix}")

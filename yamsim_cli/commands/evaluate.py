@@ -8,7 +8,7 @@ import typer
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.flags import session_options as flags
 from yamsim_cli.flags.output_files import ReportFile, VideoTrials, require_unused_reports, write_json_report
-from yamsim_cli.flags.session_options import opener, session_settings
+from yamsim_cli.flags.session_options import session_opener, session_settings
 from yamsim_cli.terminal.console import print_note, print_report, progress_bar
 from yamsim_cli.terminal.trial_tables import evaluation_table, film_with_progress, open_films
 
@@ -124,17 +124,17 @@ def evaluate(
         raise UsageError("--video-all is for videos: give --video")
     require_unused_reports(out, html, overwrite=overwrite)
     from yamsim_cli.policies.action_chunks import ChunkSettings, read_latency
-    from yamsim_cli.policies.policy_loading import read_arguments, sees_images
+    from yamsim_cli.policies.policy_loading import may_read_images, read_arguments
 
     arguments, chunking = read_arguments(policy_arg or []), ChunkSettings(execute, ensemble, read_latency(latency))
     others = compare or []
-    renders = video is not None or any(sees_images(name) for name in (policy, *others))
-    session = opener.open(config, renders=renders, wrist=True, **session_settings(locals()))
+    renders = video is not None or any(may_read_images(name) for name in (policy, *others))
+    session = session_opener.open(config, renders=renders, wrist=True, **session_settings(locals()))
 
     from yamsim_cli.core.episode.episode_rules import EndRule
-    from yamsim_cli.core.episode.trials import require_success
     from yamsim_cli.policies.evaluate import evaluation
     from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
+    from yamsim_cli.trials import require_success
 
     films = open_films(video, session.config, overwrite=overwrite) if video else None
     known = _read_reports(others, session)
@@ -162,7 +162,7 @@ def evaluate(
         write_leaderboard([report, *compared_reports], report.get("compared", []), html)
         print_note(f"The page is in {html}.")
     print_report(report, lambda: evaluation_table(report), json)
-    evaluation.require_measured(report)
+    evaluation.require_measured_trials(report)
     require_success(report["stats"], min_success)
 
 
@@ -170,12 +170,12 @@ def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any
     """Return name -> report of an earlier evaluation, for names that end in .json. Its trials must equal this
     session's.
     """
-    from yamsim_cli.core.episode.trials import describe_run
     from yamsim_cli.policies.evaluate.compare import read_report, require_same_trials
+    from yamsim_cli.trials import trial_settings
 
     reports = {name: read_report(Path(name)) for name in names if name.endswith(".json")}
     for report in reports.values():
-        require_same_trials(describe_run(session.config), report)
+        require_same_trials(trial_settings(session.config), report)
     return reports
 
 

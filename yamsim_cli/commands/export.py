@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError, count_noun
-from yamsim_cli.flags.output_files import Rename
-from yamsim_cli.flags.session_options import Json, Offline, opener
+from yamsim_cli.flags.output_files import RenameExisting
+from yamsim_cli.flags.selection_file import SelectionFile, selection_of
+from yamsim_cli.flags.session_options import Json, Offline, session_opener
 from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
 
 if TYPE_CHECKING:
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from yamsim_cli.export.export_source import ActionSource, RealSource, SimulatedSource
     from yamsim_cli.export.output_directory import ExportResult
     from yamsim_cli.export.raiden_schema import RaidenOptions
+    from yamsim_cli.selection import AppliedSelection
 
 _MAX_FPS = 500  # frames/s: the rate of physics steps
 
@@ -43,6 +45,22 @@ RealActions = Annotated[
         show_default=False,
     ),
 ]
+
+StationActions = Annotated[
+    Literal["recorded", "measured"] | None,
+    typer.Option(
+        "--actions",
+        help="Real recordings: the commands, or the joints measured one frame later.  [default: recorded]",
+        show_default=False,
+    ),
+]
+Top = Annotated[
+    str | None,
+    typer.Option(
+        metavar="CAMERA", help="Camera with the role `top`.  [default: the only one not on a wrist]", show_default=False
+    ),
+]
+Encoders = Annotated[int, typer.Option(min=1, help="Processes that encode.")]
 
 
 @app.callback()
@@ -75,7 +93,8 @@ def raiden(
     workers: Annotated[int, typer.Option(min=1, help="Processes that render.")] = 2,
     actions: RealActions = None,
     episodes: Episodes = None,
-    overwrite: Rename = False,
+    selection: SelectionFile = None,
+    overwrite: RenameExisting = False,
     offline: Offline = False,
     json: Json = False,
 ) -> None:
@@ -89,32 +108,39 @@ def raiden(
     if fps == "source" and pictures:
         raise UsageError(f"--pictures {pictures} needs other times than the recorded ones: leave out --fps source")
     options = RaidenOptions(_parse_fps(fps), pictures or "draw", images, single, hand_frame)
+    chosen = selection_of(dataset, selection)
     if is_imported_dataset(dataset):
         if pictures == "draw":
             raise UsageError(f"--pictures draw: {dataset} is real, and only recorded pictures can be exported")
-        done = _real_raiden(dataset, out, options, actions, episodes, overwrite)
+        done = _real_raiden(dataset, out, options, actions, episodes, chosen, overwrite)
     else:
         _require_real("--actions", actions, dataset)
-        done = _simulated_raiden(dataset, out, options, workers, episodes, overwrite)
-    _print(done, json)
+        done = _simulated_raiden(dataset, out, options, workers, episodes, chosen, overwrite)
+    _print(done, json, chosen)
 
 
 def _simulated_raiden(
-    dataset: Path, out: Path, options: RaidenOptions, workers: int, episodes: str | None, overwrite: bool
+    dataset: Path,
+    out: Path,
+    options: RaidenOptions,
+    workers: int,
+    episodes: str | None,
+    selection: AppliedSelection | None,
+    overwrite: bool,
 ) -> ExportResult:
-    where = opener.find_locations()
+    where = session_opener.find_locations()
     if options.renders_images:
         where = _with_renderer(where)
     else:
-        opener.skip_gl()
+        session_opener.disable_gl()
 
     from yamsim_cli.core.config.session import Session
     from yamsim_cli.export.export_source import open_source
     from yamsim_cli.export.raiden import export_raiden
 
-    source = open_source(dataset, episodes, where)
+    source = open_source(dataset, episodes, where, selection)
     if options.renders_images:
-        where = opener.with_meshes(Session(source.config, where)).locations
+        where = session_opener.with_scene_meshes(Session(source.config, where)).locations
     with progress_bar("exporting", "episodes") as advance:
         return export_raiden(source, out, where, advance, options, workers=workers, overwrite=overwrite)
 
@@ -125,15 +151,16 @@ def _real_raiden(
     options: RaidenOptions,
     actions: ActionSource | None,
     episodes: str | None,
+    selection: AppliedSelection | None,
     overwrite: bool,
 ) -> ExportResult:
-    opener.skip_gl()
+    session_opener.disable_gl()
 
     from yamsim_cli.export.export_source import open_real_source
     from yamsim_cli.export.raiden import export_real_raiden
 
-    where = opener.find_locations()
-    source = open_real_source(dataset, episodes, where, options.fps)
+    where = session_opener.find_locations()
+    source = open_real_source(dataset, episodes, where, options.fps, selection)
     with progress_bar("exporting", "episodes") as advance:
         return export_real_raiden(source, out, where, advance, options, actions or "recorded", overwrite=overwrite)
 
@@ -152,7 +179,8 @@ def lerobot(
         bool, typer.Option("--pictures/--no-pictures", help="Write videos, and the cameras' matrices.")
     ] = True,
     episodes: Episodes = None,
-    overwrite: Rename = False,
+    selection: SelectionFile = None,
+    overwrite: RenameExisting = False,
     json: Json = False,
 ) -> None:
     """Write a LeRobotDataset v3.0 of Parquet and H.264, with frame k at exactly k frame periods.
@@ -161,7 +189,7 @@ def lerobot(
 
     Example: yamsim export lerobot dataset/ lerobot_dataset/
     """
-    source = _open_dataset(dataset, episodes, fps)
+    source = _open_dataset(dataset, episodes, selection, fps)
 
     from yamsim_cli.export.export_source import RealSource
     from yamsim_cli.export.lerobot import export_lerobot, export_real_lerobot
@@ -180,7 +208,79 @@ def lerobot(
             done = export_lerobot(
                 source, out, advance, pictures=pictures, environment_state=environment_state, overwrite=overwrite
             )
-    _print(done, json)
+    _print(done, json, source.selection)
+
+
+@app.command()
+def maker(
+    dataset: Dataset,
+    out: Out,
+    fps: RealFps = None,
+    actions: StationActions = None,
+    top: Top = None,
+    workers: Encoders = 2,
+    episodes: Episodes = None,
+    selection: SelectionFile = None,
+    overwrite: RenameExisting = False,
+    json: Json = False,
+) -> None:
+    """Write the episodes of the maker's yam-abc-reproduce, as TASK/ep_000000/. A single arm becomes the left arm.
+
+    Example: yamsim export maker dataset/ maker_episodes/
+    """
+    source = _open_dataset(dataset, episodes, selection, fps)
+
+    from yamsim_cli.export.export_source import RealSource
+    from yamsim_cli.export.maker import export_maker
+
+    if not isinstance(source, RealSource):
+        _require_real("--actions", actions, dataset)
+    with progress_bar("exporting", "episodes") as advance:
+        done = export_maker(
+            source, out, advance, actions=actions or "recorded", top=top, workers=workers, overwrite=overwrite
+        )
+    _print(done, json, source.selection)
+
+
+@app.command()
+def abc(
+    dataset: Dataset,
+    out: Out,
+    layout: Annotated[
+        Literal["release", "training"],
+        typer.Option(help="One MCAP file an episode, or the layout that ABC's trainer reads."),
+    ] = "release",
+    actions: StationActions = None,
+    top: Top = None,
+    workers: Encoders = 2,
+    episodes: Episodes = None,
+    selection: SelectionFile = None,
+    overwrite: RenameExisting = False,
+    json: Json = False,
+) -> None:
+    """Write episodes as ABC-130k has them: MCAP, or 30 rows a second for its trainer. A single arm is the left arm.
+
+    Example: yamsim export abc dataset/ abc_release/
+    """
+    source = _open_dataset(dataset, episodes, selection)
+
+    from yamsim_cli.export.abc import export_abc
+    from yamsim_cli.export.export_source import RealSource
+
+    if not isinstance(source, RealSource):
+        _require_real("--actions", actions, dataset)
+    with progress_bar("exporting", "episodes") as advance:
+        done = export_abc(
+            source,
+            out,
+            advance,
+            layout=layout,
+            actions=actions or "recorded",
+            top=top,
+            workers=workers,
+            overwrite=overwrite,
+        )
+    _print(done, json, source.selection)
 
 
 @app.command()
@@ -198,14 +298,15 @@ def mp4(
     ] = 1.0,
     fps: RealFps = None,
     episodes: Episodes = None,
-    overwrite: Rename = False,
+    selection: SelectionFile = None,
+    overwrite: RenameExisting = False,
     json: Json = False,
 ) -> None:
     """Write a video of each episode, or a contact sheet of all episodes.
 
     Example: yamsim export mp4 dataset/ videos/
     """
-    source = _open_dataset(dataset, episodes, fps)
+    source = _open_dataset(dataset, episodes, selection, fps)
 
     from yamsim_cli.export.videos import export_mp4, export_sheet
 
@@ -214,22 +315,29 @@ def mp4(
             done = export_sheet(source, out, camera or (), advance, columns=columns, width=width, overwrite=overwrite)
         else:
             done = export_mp4(source, out, camera or (), advance, speed=speed, overwrite=overwrite)
-    _print(done, json)
+    _print(done, json, source.selection)
 
 
 @app.command()
-def rerun(dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Rename = False, json: Json = False) -> None:
+def rerun(
+    dataset: Dataset,
+    out: Out,
+    episodes: Episodes = None,
+    selection: SelectionFile = None,
+    overwrite: RenameExisting = False,
+    json: Json = False,
+) -> None:
     """Write an .rrd file of each episode for the rerun viewer: images, joints, poses and camera frusta.
 
     Example: yamsim export rerun dataset/ rrd/ --episodes 0-9
     """
-    source = _open_dataset(dataset, episodes)
+    source = _open_dataset(dataset, episodes, selection)
 
     from yamsim_cli.export.rrd import export_rerun
 
     with progress_bar("exporting", "episodes") as advance:
         done = export_rerun(source, out, advance, overwrite=overwrite)
-    _print(done, json)
+    _print(done, json, source.selection)
 
 
 def _parse_fps(text: str) -> float | None:
@@ -247,22 +355,24 @@ def _parse_fps(text: str) -> float | None:
 def _with_renderer(locations: Locations) -> Locations:
     """Choose an OpenGL backend, which sets the quality `auto`. The error names flags that avoid rendering."""
     try:
-        return opener.use_gl(locations, workers=True)
+        return session_opener.choose_gl_backend(locations, workers=True)
     except ResourceError as error:
         raise ResourceError(f"{error}; or render nothing: give --pictures nearest or --fps source") from None
 
 
-def _open_dataset(dataset: Path, episodes: str | None, fps: float | None = None) -> SimulatedSource | RealSource:
-    opener.skip_gl()
+def _open_dataset(
+    dataset: Path, episodes: str | None, selection: Path | None, fps: float | None = None
+) -> SimulatedSource | RealSource:
+    session_opener.disable_gl()
 
     from yamsim_cli.core.dataset.imported_records import is_imported_dataset
     from yamsim_cli.export.export_source import open_real_source, open_source
 
-    where = opener.find_locations()
+    where, chosen = session_opener.find_locations(), selection_of(dataset, selection)
     if is_imported_dataset(dataset):
-        return open_real_source(dataset, episodes, where, fps)
+        return open_real_source(dataset, episodes, where, fps, chosen)
     _require_real("--fps", fps, dataset)
-    return open_source(dataset, episodes, where)
+    return open_source(dataset, episodes, where, chosen)
 
 
 def _require_real(flag: str, value: object, dataset: Path) -> None:
@@ -272,13 +382,13 @@ def _require_real(flag: str, value: object, dataset: Path) -> None:
         )
 
 
-def _print(done: ExportResult, json: bool) -> None:
+def _print(done: ExportResult, json: bool, selection: AppliedSelection | None) -> None:
     for line in done.notes:
         print_note(line)
     note_moved(done.path, done.moved_aside)
     if json:
         moved = str(done.moved_aside) if done.moved_aside else None
         report = {"path": str(done.path), "episodes": done.episodes, "frames": done.frames, "moved_aside": moved}
-        print_json(report | {"notes": list(done.notes)})
+        print_json(report | {"notes": list(done.notes), "selection": selection and selection.report()})
     else:
         print_line(f"{count_noun(done.episodes, 'episode')}, {count_noun(done.frames, 'frame')} in {done.path}")

@@ -9,7 +9,7 @@ import typer
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.flags.output_files import Overwrite, ReportFile, require_unused_reports, write_json_report
-from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, Robot, opener
+from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, Robot, session_opener
 from yamsim_cli.terminal.console import print_note, print_report, progress_bar
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def gap(
     if (camera or episode_camera) and not pictures:
         raise UsageError("--camera and --episode-camera are for photos; give --pictures N with them")
     require_unused_reports(out, html, overwrite=overwrite)
-    where = opener.find_locations()
+    where = session_opener.find_locations()
     settings = _choose_rig(rig, revision, robot, margin, recordings[0], where)
 
     from yamsim_cli.core.config.cameras.camera import CameraConfig
@@ -89,9 +89,9 @@ def gap(
     surroundings = load_config(SceneConfig, "scenes", "studio", where)
     model = load_config(CameraConfig, "cameras", camera, where).camera_model if camera else None
     if pictures:
-        where = opener.use_gl(where)
+        where = session_opener.choose_gl_backend(where)
     else:
-        opener.skip_gl()
+        session_opener.disable_gl()
 
     from yamsim_cli.real.gap.report import build_report, require_gap_below
 
@@ -157,7 +157,7 @@ def _choose_rig(
         return (read_imported_config if is_imported_dataset(datasets[0]) else read_recording_config)(
             datasets[0], locations
         ).rig
-    return opener.load_rig(name or "single", locations, margin, revision, robot)
+    return session_opener.load_rig(name or "single", locations, margin, revision, robot)
 
 
 def _measure_gaps(
@@ -189,6 +189,6 @@ def _compare_with_photos(
     from yamsim_cli.gap_photos.photo_comparison import compare_photos
 
     quality = load_config(RenderConfig, "quality", "fast", locations)
-    locations = opener.with_mesh_folders(locations, rig_mesh_sets(rig))
+    locations = session_opener.with_mesh_folders(locations, rig_mesh_sets(rig))
     with progress_bar("photos", "photos") as advance:
         return compare_photos(gaps, rig, request, surroundings, quality, locations, advance)

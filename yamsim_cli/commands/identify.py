@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from yamsim_cli.core.errors import SimulationError, UsageError
-from yamsim_cli.flags.output_files import Overwrite, require_unused
-from yamsim_cli.flags.session_options import Json, Margin, Revision, RigName, Robot, opener
+from yamsim_cli.flags.output_files import Overwrite, require_unused_paths
+from yamsim_cli.flags.session_options import Json, Margin, Revision, RigName, Robot, session_opener
 from yamsim_cli.terminal.console import print_json, print_line, print_note, print_table, progress_bar
 from yamsim_cli.terminal.tables import ItemTable
 
@@ -40,15 +40,15 @@ def excite(
 
     Example: yamsim excite --rig single --out motion.csv
     """
-    where = opener.find_locations()
-    settings = opener.load_rig(rig, where, margin, revision, robot)
+    where = session_opener.find_locations()
+    settings = session_opener.load_rig(rig, where, margin, revision, robot)
     _require_arm(arm, settings)
     for flag, file in (("--out", out), ("--log", log)):
         if file is not None and file.suffix != ".csv":
             raise UsageError(f"{flag} {file}: motions and logs are written as .csv")
         if file is not None:
-            require_unused(flag, file, overwrite=overwrite)
-    opener.skip_gl()
+            require_unused_paths(flag, file, overwrite=overwrite)
+    session_opener.disable_gl()
 
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
@@ -124,16 +124,16 @@ def identify(
 
     Example: yamsim identify log.csv --rig single --out my_arm.yaml
     """
-    where = opener.find_locations()
-    settings = opener.load_rig(rig, where, margin, revision, robot)
+    where = session_opener.find_locations()
+    settings = session_opener.load_rig(rig, where, margin, revision, robot)
     _require_arm(arm, settings)
     if out.suffix not in (".yaml", ".yml"):
         raise UsageError(f"--out {out}: the file of a revision must end in .yaml")
     sides = [each.side for each in settings.arms if arm in (None, each.side)]
     for file in {out, *(_dynamics_file(out, side, len(sides)) for side in sides)}:
-        require_unused("--out", file, overwrite=overwrite)
+        require_unused_paths("--out", file, overwrite=overwrite)
     name = _revision_name(out)
-    opener.skip_gl()
+    session_opener.disable_gl()
 
     from yamsim_cli.real.identify.identification import identify_arms as run
     from yamsim_cli.real.recordings.motion_reading import read_motions

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import count_noun
-from yamsim_cli.flags.output_files import Rename, open_mode
-from yamsim_cli.flags.session_options import Json, opener
+from yamsim_cli.flags.output_files import RenameExisting, open_mode
+from yamsim_cli.flags.session_options import Json, session_opener
 from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
 
 
@@ -15,7 +15,8 @@ def import_recording(
     source: Annotated[
         list[Path],
         typer.Argument(
-            help="A .csv, .mcap or robot_data.npz; a folder with rgb/ and lowdim/, or of such; a LeRobot dataset.",
+            help="A .csv, .mcap or robot_data.npz; a folder with rgb/ and lowdim/, or of such; a LeRobot dataset; "
+            "episodes of the maker's or of ABC's, or folders of such.",
             show_default=False,
         ),
     ],
@@ -24,7 +25,7 @@ def import_recording(
     ] = "single",
     out: Annotated[Path, typer.Option(help="The dataset to write.")] = Path("real"),
     kind: Annotated[
-        Literal["csv", "lowdim", "raiden_raw", "lerobot", "mcap"] | None,
+        Literal["csv", "lowdim", "raiden_raw", "lerobot", "mcap", "maker", "abc_training"] | None,
         typer.Option("--format", help="Format of the recordings.  [default: detected]"),
     ] = None,
     mapping: Annotated[
@@ -48,7 +49,7 @@ def import_recording(
         bool, typer.Option("--swap-arms", help="The left arm's measurements belong to the right arm, and the reverse.")
     ] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Add to an existing dataset.")] = False,
-    overwrite: Rename = False,
+    overwrite: RenameExisting = False,
     json: Json = False,
 ) -> None:
     """Make a dataset from recordings of real arms, marked `source: real`. Missing data stays missing.
@@ -56,9 +57,9 @@ def import_recording(
     Example: yamsim import log.csv --rig single --out real
     """
     mode = open_mode(resume=resume, overwrite=overwrite)
-    where = opener.find_locations()
-    opener.skip_gl()
-    settings = opener.load_rig(rig, where)
+    where = session_opener.find_locations()
+    session_opener.disable_gl()
+    settings = session_opener.load_rig(rig, where)
 
     from yamsim_cli.real.import_recording.importing import Corrections, ImportRequest, import_recordings
 
@@ -73,7 +74,7 @@ def import_recording(
     for episode, problems in report.problems.items():
         for problem in problems:
             print_note(f"{episode}: {problem}")
-    kept = f", {report.kept} were there before" if report.kept else ""
+    kept = f", {report.kept_episodes} were there before" if report.kept_episodes else ""
     print_line(
         f"{report.path}: {count_noun(report.episodes, 'episode')}, {count_noun(report.frames, 'frame')}{kept}, "
         "source: real"

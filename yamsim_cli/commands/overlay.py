@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.output_files import Overwrite, require_unused
-from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, opener
+from yamsim_cli.flags.output_files import Overwrite, require_unused_paths
+from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, session_opener
 from yamsim_cli.terminal.console import print_json, print_line, print_note, progress_bar
 
 if TYPE_CHECKING:
@@ -82,8 +82,8 @@ def overlay(
     if min_iou is not None and mask_image is None:
         raise UsageError("--min-iou needs --mask-image")
     if video is not None:
-        require_unused("--video", video, overwrite=overwrite)
-    where = opener.find_locations()
+        require_unused_paths("--video", video, overwrite=overwrite)
+    where = session_opener.find_locations()
     settings = _choose_rig(rig, revision, episode or [], margin, where)
 
     from yamsim_cli.core.config.cameras.camera import CameraConfig
@@ -94,7 +94,7 @@ def overlay(
     model = load_config(CameraConfig, "cameras", camera, where).camera_model if camera else None
     scene = load_config(SceneConfig, "scenes", "studio", where)
     quality = load_config(RenderConfig, "quality", "fast", where)
-    opener.use_gl(where)
+    session_opener.choose_gl_backend(where)
 
     from yamsim_cli.core.scene.blueprint import Blueprint
     from yamsim_cli.core.scene.compose import visual_mesh_sets
@@ -123,8 +123,8 @@ def overlay(
         min_iou=min_iou,
         fail_if_moved=fail_if_moved,
     )
-    require_unused("--out", request.output_files, overwrite=overwrite)
-    where = opener.with_mesh_folders(where, visual_mesh_sets(Blueprint(settings, scene)))
+    require_unused_paths("--out", request.output_files, overwrite=overwrite)
+    where = session_opener.with_mesh_folders(where, visual_mesh_sets(Blueprint(settings, scene)))
     with progress_bar("overlays", "photos") as advance:
         report = run_overlays(settings, request, scene, quality, where, advance)
     if json:
@@ -152,7 +152,7 @@ def _choose_rig(
                 f"--revision {revision}: an episode has the rig of its recording; give --rig with --revision"
             )
         return read_recorded_rig(datasets.pop(), locations)
-    return opener.load_rig(name or "single", locations, margin, revision)
+    return session_opener.load_rig(name or "single", locations, margin, revision)
 
 
 def _print(report: OverlayReport) -> None:
@@ -170,6 +170,6 @@ def _print(report: OverlayReport) -> None:
             print_note(f"{result.path}: {text}")
     for move in report.move_report.moves:
         print_line(describe_move(move))
-    if not report.move_report.unknown and not report.move_report.moves:
+    if not report.move_report.why_unknown and not report.move_report.moves:
         print_line(f"camera and bases stayed where they were in all {len(report.results)} photos")
     print_line(f"{len(report.files)} files, such as {report.files[0]}")

@@ -10,8 +10,8 @@ import typer
 
 from yamsim_cli.core.errors import UsageError, count_noun
 from yamsim_cli.flags import session_options as flags
-from yamsim_cli.flags.output_files import Rename, open_mode
-from yamsim_cli.flags.session_options import opener, session_settings
+from yamsim_cli.flags.output_files import RenameExisting, open_mode
+from yamsim_cli.flags.session_options import session_opener, session_settings
 from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
 from yamsim_cli.terminal.signals import stop_on_signal
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from yamsim_cli.recording.executor_factories import ExecutorFactory
     from yamsim_cli.recording.recorder import RecordReport
 
-_STOPPING_NOTE = (
+_STOP_SIGNAL_NOTE = (
     "Stopping once the attempts in progress are done. Another signal stops at once; nothing is lost either way."
 )
 
@@ -39,9 +39,10 @@ def record(
     grasp: flags.Grasp = None,
     wrist: flags.Wrist = None,
     camera: flags.Cameras = None,
+    camera_effects: flags.CameraEffects = None,
     randomize: flags.Randomize = None,
     randomization: flags.Randomization = None,
-    boards: Annotated[bool | None, typer.Option("--boards/--no-boards", help="Also show the base boards.")] = None,
+    boards: flags.Boards = None,
     truth: Annotated[
         bool | None, typer.Option("--truth/--no-truth", help="Also record depth, segmentation, keypoints and boxes.")
     ] = None,
@@ -59,11 +60,8 @@ def record(
     jpeg_quality: Annotated[int | None, typer.Option(help="JPEG quality, 1 to 100.")] = None,
     quality: flags.Quality = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
-    overwrite: Rename = False,
-    stage: Annotated[
-        Path | None,
-        typer.Option(help="A local directory where episodes are written before they are moved to a slow --out."),
-    ] = None,
+    overwrite: RenameExisting = False,
+    stage: flags.Stage = None,
     executor: Annotated[
         Literal["process", "ray"], typer.Option(help="Workers: processes of this machine, or actors of a Ray cluster.")
     ] = "process",
@@ -71,9 +69,7 @@ def record(
         str | None,
         typer.Option(help="Address of a running Ray cluster, such as auto; without it, a cluster is started here."),
     ] = None,
-    attempt_timeout: Annotated[
-        float, typer.Option(min=1, help="Seconds after which a worker counts as hung and is replaced.")
-    ] = 600.0,
+    attempt_timeout: flags.AttemptTimeout = 600.0,
     config: flags.ConfigOption = "default",
     offline: flags.Offline = False,
     json: flags.Json = False,
@@ -83,14 +79,14 @@ def record(
     Example: yamsim record --n 500 --workers 4
     """
     mode = open_mode(resume=resume, overwrite=overwrite)
-    session = opener.open(config, resumes=out if resume else None, **session_settings(locals()))
+    session = session_opener.open(config, resumes=out if resume else None, **session_settings(locals()))
 
     from yamsim_cli.recording.collect import RecordCallbacks
     from yamsim_cli.recording.recorder import record as run
     from yamsim_cli.recording.recording_output import RecordingOutput
 
     executors = _make_executor_factory(executor, address, attempt_timeout)
-    with progress_bar("recording", "episodes") as advance, stop_on_signal(_STOPPING_NOTE) as stop:
+    with progress_bar("recording", "episodes") as advance, stop_on_signal(_STOP_SIGNAL_NOTE) as stop:
         callbacks = RecordCallbacks(
             lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), print_note
         )

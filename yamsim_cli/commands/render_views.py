@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from yamsim_cli.flags.output_files import Overwrite, require_unused
-from yamsim_cli.flags.session_options import Json, Margin, Offline, Quality, Revision, RigName, Robot, opener
+from yamsim_cli.flags.output_files import Overwrite, require_unused_paths
+from yamsim_cli.flags.session_options import Json, Margin, Offline, Quality, Revision, RigName, Robot, session_opener
 from yamsim_cli.session_opener import parse_size
 from yamsim_cli.terminal.console import print_json, print_line
 
@@ -29,8 +29,8 @@ def render_views(
 
     Example: yamsim render-views --rig russet
     """
-    where = opener.find_locations()
-    settings = opener.load_rig(rig, where, margin, revision, robot)
+    where = session_opener.find_locations()
+    settings = session_opener.load_rig(rig, where, margin, revision, robot)
     pixels = parse_size(size)
 
     from yamsim_cli.core.config.loader import load_config
@@ -38,11 +38,11 @@ def render_views(
     from yamsim_cli.core.config.scene import SceneConfig
     from yamsim_cli.viewers.show.rig_views import picture_names
 
-    require_unused("--out", [out / name for name in picture_names()], overwrite=overwrite)
+    require_unused_paths("--out", [out / name for name in picture_names()], overwrite=overwrite)
     scene = load_config(SceneConfig, "scenes", "studio", where)
     # Refuse an unknown quality before the choice of an OpenGL backend, which takes seconds.
     load_config(RenderConfig, "quality", quality or "auto", where)
-    where = opener.use_gl(where)
+    where = session_opener.choose_gl_backend(where)
     render = load_config(RenderConfig, "quality", quality or "auto", where)
 
     from yamsim_cli.core.scene.blueprint import Blueprint
@@ -51,7 +51,7 @@ def render_views(
     from yamsim_cli.viewers.show.rig_views import set_up_views, write_views
 
     blueprint = Blueprint(settings, scene)
-    where = opener.with_mesh_folders(where, visual_mesh_sets(blueprint), render)
+    where = session_opener.with_mesh_folders(where, visual_mesh_sets(blueprint), render)
     files = write_views(run(set_up_views(blueprint, where, render, pixels)), out)
     if json:
         print_json({"files": [str(file) for file in files]})

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
-from yamsim_cli.flags.output_files import Rename
-from yamsim_cli.flags.session_options import Json, Offline, opener
-from yamsim_cli.flags.viewer_options import Host, Port, Web, choose_viewer, prepare_viewer
+from yamsim_cli.flags.output_files import RenameExisting
+from yamsim_cli.flags.selection_file import SelectionFile
+from yamsim_cli.flags.session_options import Json, Offline, session_opener
+from yamsim_cli.flags.viewer_options import Host, Port, WebOrNative, choose_viewer, prepare_viewer
 from yamsim_cli.session_opener import parse_size
 from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, print_result_now
 from yamsim_cli.terminal.signals import defer_signals
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from yamsim_cli.viewers.page_address import PageAddress
 
 # For an episode whose actions cannot be simulated again.
-_NO_PHYSICS: dict[str, Any] = {"max_error": None, "first_divergence": None}
+_UNREPRODUCIBLE_RESULT: dict[str, Any] = {"max_error": None, "first_divergence": None}
 
 
 def replay(
@@ -34,17 +35,20 @@ def replay(
     camera: Annotated[
         list[str] | None, typer.Option(help="Camera of the video; several are put side by side.  [default: the first]")
     ] = None,
+    selection: SelectionFile = None,
     render: Annotated[bool, typer.Option("--render", help="Render the video anew from recorded states.")] = False,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="With --render: size of each image.")] = None,
     speed: Annotated[float, typer.Option(help="How fast time passes; 0.5 is slow motion.")] = 1.0,
-    overwrite: Rename = False,
-    web: Web = None,
+    overwrite: RenameExisting = False,
+    web: WebOrNative = None,
     port: Port = None,
     host: Host = None,
     offline: Offline = False,
     json: Json = False,
 ) -> None:
     """Play a recorded episode in a viewer, or write a video. Also repeat its actions in physics, and compare states.
+
+    --selection refuses a dropped episode, and shows only the kept frames. Physics repeats the whole episode.
 
     Example: yamsim replay dataset/ep_000003 --video ep3.mp4
     """
@@ -60,21 +64,32 @@ def replay(
 
     from yamsim_cli.core.dataset.reader import StoredEpisode, find_episode
 
-    stored, where = find_episode(episode, number), opener.find_locations()
+    stored, where = find_episode(episode, number), session_opener.find_locations()
     if render and not isinstance(stored, StoredEpisode):
         raise UsageError("--render: a real recording was not simulated; leave --render out to show its pictures")
+    shown = _trim(stored, selection) if selection else stored
     if video is None:
-        play_episode(stored, where, speed, choose_viewer(web, port, host), json)
+        play_episode(shown, where, speed, choose_viewer(web, port, host), json)
         return
     pixels = parse_size(size) if size else None
-    report = _film_episode(stored, where, video, camera or [], render, pixels, speed, overwrite)
-    report |= _repeat_in_physics(stored, where) if isinstance(stored, StoredEpisode) else _NO_PHYSICS
+    report = _film_episode(shown, where, video, camera or [], render, pixels, speed, overwrite)
+    report |= _repeat_in_physics(stored, where) if isinstance(stored, StoredEpisode) else _UNREPRODUCIBLE_RESULT
     if json:
         print_json(report)
         return
     frames = f"{report['frames']} frames, {report['seconds']:.2f} s, {'x'.join(map(str, report['size']))}"
     print_line(f"{report['video']}: {frames}, {', '.join(report['cameras'])}")
     _print_physics(report)
+
+
+def _trim(stored: RecordedEpisode, file: Path) -> RecordedEpisode:
+    """Return an episode with its kept frames. Raise UsageError if the selection leaves it out."""
+    from yamsim_cli.selection import apply_selection
+
+    applied = apply_selection(stored.dataset_directory, file)
+    if stored.record.episode not in applied.kept:
+        raise UsageError(f"{stored.directory} is left out by --selection {file}; leave --selection out to see it")
+    return applied.trim(stored)
 
 
 def _film_episode(
@@ -88,16 +103,16 @@ def _film_episode(
     overwrite: bool,
 ) -> dict[str, Any]:
     if render:
-        opener.use_gl(locations)
+        session_opener.choose_gl_backend(locations)
     else:
-        opener.skip_gl()
+        session_opener.disable_gl()
     period = stored.record.frame_period_s / speed
 
     from yamsim_cli.core.dataset.reader import StoredEpisode
     from yamsim_cli.viewers.show.replay import film_recorded, film_rendered, session_with_wrist_camera
 
     if render and isinstance(stored, StoredEpisode):
-        session = opener.with_meshes(session_with_wrist_camera(_dataset_session(stored, locations), size))
+        session = session_opener.with_scene_meshes(session_with_wrist_camera(_dataset_session(stored, locations), size))
         film = film_rendered(stored, session, cameras, video, period, overwrite=overwrite)
     else:
         film = film_recorded(stored, cameras, video, period, overwrite=overwrite)
@@ -122,7 +137,7 @@ def play_episode(
     from yamsim_cli.core.dataset.reader import StoredEpisode
     from yamsim_cli.viewers.show.replay import play_real, play_simulated
 
-    physics = _NO_PHYSICS
+    physics = _UNREPRODUCIBLE_RESULT
 
     def announce_ready(url: str | None) -> None:
         line = f"{url}  (Ctrl-C ends)" if url else "MuJoCo's window: space pauses"
@@ -132,10 +147,10 @@ def play_episode(
             sys.stdout.flush()
 
     if isinstance(stored, StoredEpisode):
-        session = opener.with_meshes(_dataset_session(stored, locations))
+        session = session_opener.with_scene_meshes(_dataset_session(stored, locations))
         # A server or window that Ctrl-C interrupts during its start cannot be closed.
         with defer_signals() as stopped:
-            physics = _repeat_in_physics(stored, locations)
+            physics = _repeat_in_physics(_whole(stored), locations)
             play_simulated(stored, session, speed, page, announce_ready, stopped)
         return
     from yamsim_cli.core.config.loader import load_config
@@ -150,9 +165,15 @@ def play_episode(
         load_config(SceneConfig, "scenes", "studio", locations),
     )
     motion = read_episode(stored, blueprint.rig)
-    locations = opener.with_mesh_folders(locations, visual_mesh_sets(blueprint))
+    locations = session_opener.with_mesh_folders(locations, visual_mesh_sets(blueprint))
     with defer_signals() as stopped:
         play_real(stored, motion, blueprint, locations, speed, page, announce_ready, stopped)
+
+
+def _whole(stored: StoredEpisode) -> StoredEpisode:
+    from yamsim_cli.core.dataset.reader import open_episode
+
+    return open_episode(stored.directory)
 
 
 def _dataset_session(stored: StoredEpisode, locations: Locations) -> Session:
@@ -172,7 +193,7 @@ def _repeat_in_physics(stored: StoredEpisode, locations: Locations) -> dict[str,
         print_note(f"Its actions were not repeated: {error}.")
         found = None
     if found is None:
-        return dict(_NO_PHYSICS)
+        return dict(_UNREPRODUCIBLE_RESULT)
     return {"max_error": found.max_error, "first_divergence": found.first_difference and asdict(found.first_difference)}
 
 

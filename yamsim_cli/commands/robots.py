@@ -9,7 +9,7 @@ import typer
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.flags.session_options import Json, opener
+from yamsim_cli.flags.session_options import Json, session_opener
 from yamsim_cli.terminal.console import print_json, print_line, print_note, print_report
 from yamsim_cli.terminal.tables import ItemTable, print_item, print_items
 
@@ -17,9 +17,9 @@ app = typer.Typer(
     help="List and show arms, grippers and stations, and make and check your own arm.", no_args_is_help=True
 )
 
-_VERDICTS = {True: "passed", False: "FAILED", None: "does not apply"}
+_CHECK_RESULT_LABELS = {True: "passed", False: "FAILED", None: "does not apply"}
 
-_Data = Annotated[
+_RobotDataFolder = Annotated[
     Path | None,
     typer.Option("--data", help="Your folder of data.  [default: $YAMSIM_DATA_DIR]", metavar="DIR"),
 ]
@@ -35,7 +35,7 @@ def list_robots(json: Json = False) -> None:
     """
     from yamsim_cli.robot_catalog import robot_entries
 
-    items = robot_entries(opener.find_locations())
+    items = robot_entries(session_opener.find_locations())
     print_items(items, ["", "name", "of", "goes with", "source", "meshes"], _robot_row, json)
     for item in items:
         if "fault" in item and not json:
@@ -53,13 +53,13 @@ def show(
     """
     from yamsim_cli.robot_catalog import robot_entry
 
-    print_item(robot_entry(name, opener.find_locations()), json, {"meshes": _mesh_states})
+    print_item(robot_entry(name, session_opener.find_locations()), json, {"meshes": _mesh_states})
 
 
 @app.command()
 def new(
     name: Annotated[str, typer.Argument(help="The new arm's name: letters, digits and underscores.")],
-    data: _Data = None,
+    data: _RobotDataFolder = None,
     json: Json = False,
 ) -> None:
     """Write commented files of a new arm that pass `yamsim robots check`. No file is overwritten.
@@ -83,7 +83,7 @@ def new(
 @app.command()
 def check(
     name: Annotated[str, typer.Argument(help="An arm's name.")],
-    data: _Data = None,
+    data: _RobotDataFolder = None,
     json: Json = False,
 ) -> None:
     """Check an arm with each compatible gripper: the model compiles, and its drives hold the home posture.
@@ -92,7 +92,7 @@ def check(
 
     Example: yamsim robots check yam_v1
     """
-    opener.skip_gl()
+    session_opener.disable_gl()
 
     from yamsim_cli.robot_catalog import check_robot, require_checked
 
@@ -105,12 +105,12 @@ def check(
 def _check_table(found: Sequence[Mapping[str, Any]]) -> ItemTable:
     table = ItemTable(["gripper", "", "found"], numbers_from=3)
     for one in found:
-        table.add_row(one["gripper"], _VERDICTS[one["ok"]], one["detail"])
+        table.add_row(one["gripper"], _CHECK_RESULT_LABELS[one["ok"]], one["detail"])
     return table
 
 
 def _locations_with_data(data: Path | None) -> Locations:
-    where = opener.find_locations()
+    where = session_opener.find_locations()
     return where if data is None else replace(where, data=(data, *where.data))
 
 

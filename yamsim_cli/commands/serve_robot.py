@@ -12,7 +12,7 @@ import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.flags import session_options as flags
-from yamsim_cli.flags.session_options import opener, session_settings
+from yamsim_cli.flags.session_options import session_opener, session_settings
 from yamsim_cli.real.serve.socket_servers import default_socket_folder
 from yamsim_cli.terminal.console import print_json, print_line, print_note
 from yamsim_cli.terminal.signals import stop_on_signal
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 # us, time between the answers of two motors: two frames of 130 bits at 1 Mbit/s, and the USB adapter's delay. Seven
 # motors then take 4 ms, the control period of the manufacturer's SDK (250 Hz).
-_ANSWER_GAP_US = 571.0
+_MOTOR_ANSWER_INTERVAL_US = 571.0
 
 Folder = Annotated[
     Path | None,
@@ -58,7 +58,7 @@ def serve_robot(
     ] = None,
     gap: Annotated[
         float, typer.Option("--answer-gap", metavar="US", min=0, max=100_000, help="Time between two answers.")
-    ] = _ANSWER_GAP_US,
+    ] = _MOTOR_ANSWER_INTERVAL_US,
     kernel: Annotated[
         bool, typer.Option("--kernel", help="Use the kernel's CAN interfaces, such as vcan, instead of sockets.")
     ] = False,
@@ -101,13 +101,13 @@ def serve_robot(
     faults = [parse_fault(text) for text in fault or ()]
     rig = rig or "yam_v1+linear_4310"
     settings = session_settings(locals())
-    session = opener.open(config, renders=cameras or chiral is not None, parallel=False, **settings)
+    session = session_opener.open(config, renders=cameras or chiral is not None, parallel=False, **settings)
 
     from yamsim_cli.real.serve.realtime_loop import RealtimeLoop
-    from yamsim_cli.real.serve.served_arms import START_POSTURES, make_policy_robot, serve_arms
+    from yamsim_cli.real.serve.served_arms import VALID_START_POSTURES, make_policy_robot, serve_arms
 
-    if start not in START_POSTURES:
-        raise UsageError(f"--start {start!r} is not valid; valid: {', '.join(START_POSTURES)}")
+    if start not in VALID_START_POSTURES:
+        raise UsageError(f"--start {start!r} is not valid; valid: {', '.join(VALID_START_POSTURES)}")
     served = serve_arms(session, channel or (), faults, start)
     with ExitStack() as stack, stop_on_signal("Ending.") as stop:
         where = _bus_folder(folder)
@@ -195,7 +195,7 @@ def _open_chiral_server(stack: ExitStack, robot: PolicyRobot, host: str, port: i
     return server
 
 
-def can_run(
+def run_can_program(
     program: Annotated[list[str], typer.Argument(metavar="PROGRAM...", help="The program and its arguments.")],
     folder: Folder = None,
     json: Annotated[

@@ -7,8 +7,9 @@ from typing import Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
-from yamsim_cli.flags.output_files import Overwrite, require_unused
-from yamsim_cli.flags.session_options import Json, opener
+from yamsim_cli.flags.output_files import Overwrite, require_unused_paths
+from yamsim_cli.flags.selection_file import SelectionFile, selection_of
+from yamsim_cli.flags.session_options import Json, session_opener
 from yamsim_cli.terminal.console import print_note, print_report, progress_bar
 
 
@@ -18,6 +19,7 @@ def summarize(
         list[float] | None,
         typer.Option(help="Distance in m that counts as a success; may be repeated.  [default: 0.05 and 0.08]"),
     ] = None,
+    selection: SelectionFile = None,
     html: Annotated[Path | None, typer.Option(help="Also write a report with plots and pictures, one page.")] = None,
     overwrite: Overwrite = False,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 4 for warnings too.")] = False,
@@ -28,13 +30,15 @@ def summarize(
 ) -> None:
     """Check all files of a dataset, and report statistics and problems. Exit code 4 for errors; warnings need --strict.
 
+    With --selection, figures and problems are those of the kept episodes, whole also where they are trimmed.
+
     Example: yamsim summarize dataset/ --threshold 0.03 --html report.html
     """
     for value in threshold or ():
         if not 0 < value < math.inf:
             raise UsageError(f"--threshold {value:g} is not valid: give a distance in metres above 0")
     if html:
-        require_unused("--html", html, overwrite=overwrite)
+        require_unused_paths("--html", html, overwrite=overwrite)
 
     from yamsim_cli.core.statistics import THRESHOLDS
     from yamsim_cli.cpu_limits import usable_cores
@@ -42,9 +46,12 @@ def summarize(
     from yamsim_cli.datasets.summarize import check_dataset
 
     thresholds = sorted(set(threshold or THRESHOLDS))
+    applied = selection_of(dataset, selection)
     with progress_bar("checking", "episodes") as advance:
-        results = check_dataset(dataset, opener.find_locations(), workers or usable_cores(), advance)
-    report = count(results, thresholds)
+        results = check_dataset(dataset, session_opener.find_locations(), workers or usable_cores(), advance)
+    if applied:
+        results = results.restricted(applied.kept)
+    report = count(results, thresholds) | {"selection": applied and applied.report()}
     if html:
         from yamsim_cli.datasets.summarize import write_report
 

@@ -7,15 +7,15 @@ from typing import Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.output_files import Rename, VideoTrials
-from yamsim_cli.flags.session_options import ConfigOption, Json, Offline, Rig, Seed, Workers, opener
+from yamsim_cli.flags.output_files import RenameExisting, VideoTrials
+from yamsim_cli.flags.session_options import ConfigOption, Json, Offline, Rig, Seed, Workers, session_opener
 from yamsim_cli.terminal.console import print_json, print_line, print_report, progress_bar
 from yamsim_cli.terminal.tables import ItemTable, print_item, print_items
 from yamsim_cli.terminal.trial_tables import film_with_progress, open_films
 
 app = typer.Typer(help="List and show tasks, and make and check your own.", no_args_is_help=True)
 
-_VERDICTS = {True: "passed", False: "FAILED", None: "does not apply"}
+_CHECK_RESULT_LABELS = {True: "passed", False: "FAILED", None: "does not apply"}
 
 
 @app.command("list")
@@ -26,7 +26,9 @@ def list_tasks(json: Json = False) -> None:
     """
     from yamsim_cli.task_validation.task_catalog import task_entries
 
-    print_items(task_entries(opener.find_locations()), ["name", "things", "skills", "instruction"], _task_row, json)
+    print_items(
+        task_entries(session_opener.find_locations()), ["name", "things", "skills", "instruction"], _task_row, json
+    )
 
 
 @app.command()
@@ -40,7 +42,7 @@ def show(
     """
     from yamsim_cli.task_validation.task_catalog import task_entry
 
-    print_item(task_entry(name, opener.find_locations()), json)
+    print_item(task_entry(name, session_opener.find_locations()), json)
 
 
 @app.command()
@@ -73,7 +75,7 @@ def check(
         Path | None, typer.Option(help="Film trials that fail: all in one FILE.mp4, or one each in a folder.")
     ] = None,
     video_trials: VideoTrials = 10,
-    overwrite: Rename = False,
+    overwrite: RenameExisting = False,
     seed: Seed = None,
     workers: Workers = None,
     rig: Rig = None,
@@ -89,7 +91,9 @@ def check(
     """
     if overwrite and video is None:
         raise UsageError("--overwrite is for videos: give --video")
-    session = opener.open(config, renders=video is not None, task=name, n=n, seed=seed, workers=workers, rig=rig)
+    session = session_opener.open(
+        config, renders=video is not None, task=name, n=n, seed=seed, workers=workers, rig=rig
+    )
 
     from yamsim_cli.task_validation.validation import require_passed, validate_task
 
@@ -97,7 +101,7 @@ def check(
     with progress_bar(f"checking {session.config.task.name}", "attempts") as advance:
         report = validate_task(session, least, advance)
     if films:
-        from yamsim_cli.core.episode.trials import film_trials
+        from yamsim_cli.trials import film_trials
 
         report["videos"] = film_with_progress(
             films, lambda shown: film_trials(report["trials"], video_trials, films, session, shown)
@@ -109,7 +113,7 @@ def check(
 def _check_table(report: Mapping[str, Any]) -> ItemTable:
     table = ItemTable(["check", "", "found"], numbers_from=3)
     for check in report["checks"]:
-        table.add_row(check["name"].replace("_", " "), _VERDICTS[check["ok"]], check["detail"])
+        table.add_row(check["name"].replace("_", " "), _CHECK_RESULT_LABELS[check["ok"]], check["detail"])
     for trial in report["trials"]:
         table.add_row(f"trial {trial['trial']}", trial["outcome"]["cause"], trial["outcome"]["detail"])
     return table

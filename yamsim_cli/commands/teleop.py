@@ -9,8 +9,8 @@ import typer
 
 from yamsim_cli.core.errors import UsageError, count_noun
 from yamsim_cli.flags import session_options as flags
-from yamsim_cli.flags.output_files import Rename, open_mode
-from yamsim_cli.flags.session_options import opener, session_settings
+from yamsim_cli.flags.output_files import RenameExisting, open_mode
+from yamsim_cli.flags.session_options import session_opener, session_settings
 from yamsim_cli.flags.viewer_options import Host, Port, page_address, silence_viser
 from yamsim_cli.terminal.console import print_json, print_line, print_note
 from yamsim_cli.terminal.signals import stop_on_signal
@@ -18,7 +18,7 @@ from yamsim_cli.terminal.signals import stop_on_signal
 if TYPE_CHECKING:
     from yamsim_cli.viewers.teleop.teleop_session import TeleopReport
 
-_ENDING_NOTE = (
+_STOP_SIGNAL_NOTE = (
     "Ending once recorded attempts are judged and rendered. Another signal ends at once; whole episodes are safe."
 )
 
@@ -49,7 +49,7 @@ def teleop(
     resume: Annotated[
         bool, typer.Option("--resume", help="Add to a dataset; attempts of a killed session are judged first.")
     ] = False,
-    overwrite: Rename = False,
+    overwrite: RenameExisting = False,
     port: Port = None,
     host: Host = None,
     config: flags.ConfigOption = "default",
@@ -66,7 +66,7 @@ def teleop(
             raise UsageError(f"{flag} is for the page: leave it out, or leave out --input")
     if realtime and stream is None:
         raise UsageError("--realtime is for --input; the page always keeps to the clock")
-    session = opener.open(config, resumes=out if resume else None, **session_settings(locals()))
+    session = session_opener.open(config, resumes=out if resume else None, **session_settings(locals()))
     silence_viser()
 
     from yamsim_cli.viewers.teleop.command_stream import read_stream
@@ -82,7 +82,7 @@ def teleop(
         sys.stderr.flush()
 
     with (
-        stop_on_signal(_ENDING_NOTE) as stop,
+        stop_on_signal(_STOP_SIGNAL_NOTE) as stop,
         open_teleop(session, out, mode, print_note, time_limit=time_limit) as teleop_session,
     ):
         if page is None:

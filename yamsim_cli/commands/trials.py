@@ -7,7 +7,7 @@ import typer
 
 from yamsim_cli.flags import session_options as flags
 from yamsim_cli.flags.output_files import ReportFile, VideoTrials, require_unused_reports, write_json_report
-from yamsim_cli.flags.session_options import opener, session_settings
+from yamsim_cli.flags.session_options import session_opener, session_settings
 from yamsim_cli.terminal.console import print_note, print_report, progress_bar
 from yamsim_cli.terminal.trial_tables import film_with_progress, open_films, trials_table
 
@@ -56,10 +56,10 @@ def trials(
     Example: yamsim trials --task tower --n 200 --seed 2 --json
     """
     require_unused_reports(out, html, overwrite=overwrite)
-    session = opener.open(config, renders=video is not None, **session_settings(locals()))
+    session = session_opener.open(config, renders=video is not None, **session_settings(locals()))
 
-    from yamsim_cli.core.episode.trials import film_trials, require_success, run_expert_trials
     from yamsim_cli.core.statistics import THRESHOLDS
+    from yamsim_cli.trials import film_trials, require_success, run_expert_trials
 
     films = open_films(video, session.config, overwrite=overwrite) if video else None
     with progress_bar("trials", "trials") as advance:

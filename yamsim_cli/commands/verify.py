@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
-from yamsim_cli.flags.session_options import Json, Offline, opener
+from yamsim_cli.flags.selection_file import SelectionFile, selection_of
+from yamsim_cli.flags.session_options import Json, Offline, session_opener
 from yamsim_cli.terminal.console import print_report, progress_bar
-from yamsim_cli.terminal.tables import FactTable
+from yamsim_cli.terminal.tables import NameValueTable
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -20,9 +21,9 @@ _METHOD_LABELS = {"seed": "made again from its seed", "actions": "from its actio
 # Largest difference that rounding alone explains: m, rad, or relative for numbers above 1. Another processor rounds the
 # last bit differently, and contacts amplify the difference. On an emulated processor, most of 40 episodes differed by
 # 1.5e-4, and the worst by 1.4e-3 (the tilt of a rolling banana).
-_MAX_ROUNDING = 0.005
+_MAX_VERSION_DIFFERENCE = 0.005
 
-_MAX_LINES = 10  # of differences, and of problems; --json has all
+_MAX_LISTED_DIFFERENCES = 10  # of differences, and of problems; --json has all
 
 
 def verify(
@@ -33,6 +34,7 @@ def verify(
     sample: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="N episodes, spread evenly over the dataset.")
     ] = None,
+    selection: SelectionFile = None,
     workers: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
     tolerance: Annotated[
         float,
@@ -47,7 +49,7 @@ def verify(
 ) -> None:
     """Reproduce episodes from their seeds and from their actions, and report the first value that differs.
 
-    Exit code 4 if a value differs.
+    Exit code 4 if a value differs. Whole episodes are reproduced, also those that --selection trims.
 
     Example: yamsim verify dataset/ --sample 20
     """
@@ -57,16 +59,18 @@ def verify(
         raise UsageError(f"--image-tolerance {image_tolerance:g} needs --images")
 
     from yamsim_cli.core.config.session import Session
-    from yamsim_cli.core.dataset.reader import read_recording_config, select_episodes
+    from yamsim_cli.core.dataset.reader import read_recording_config, select_episode_directories
 
-    where = opener.find_locations()
-    chosen = select_episodes(dataset, episodes, sample)
+    where, applied = session_opener.find_locations(), selection_of(dataset, selection)
+    chosen = select_episode_directories(dataset, episodes, sample, applied.kept if applied else None)
+    if not chosen and applied:
+        raise UsageError(f"--episodes {episodes}: {applied.path} keeps none of these; give others")
     session = Session(read_recording_config(dataset, where), where)
     if images:
-        opener.use_gl(where, workers=True)
-        session = opener.with_meshes(session)
+        session_opener.choose_gl_backend(where, workers=True)
+        session = session_opener.with_scene_meshes(session)
     else:
-        opener.skip_gl()
+        session_opener.disable_gl()
 
     from yamsim_cli.datasets.verify import Tolerances
     from yamsim_cli.datasets.verify import verify as run
@@ -74,8 +78,8 @@ def verify(
     limits = Tolerances(tolerance, image_tolerance if images else None)
     with progress_bar("verifying", "episodes") as advance:
         report = run(chosen, session, limits, workers, advance)
-    report = {"path": str(dataset)} | report
-    print_report(report, lambda: FactTable(_result_rows(report)), json)
+    report = {"path": str(dataset)} | report | {"selection": applied and applied.report()}
+    print_report(report, lambda: NameValueTable(_result_rows(report)), json)
     if report["agree"] < report["episodes"]:
         raise DatasetError(_verdict_line(report))
 
@@ -95,9 +99,9 @@ def _result_rows(report: dict[str, Any]) -> Iterator[tuple[str | Text, str]]:
                 yield "", f"not made for some: {reason}"
     for change in report["versions_changed"]:
         yield f"{change['name']} changed", f"{change['recorded']} then, {change['now']} now"
-    for divergence in report["divergences"][:_MAX_LINES]:
+    for divergence in report["divergences"][:_MAX_LISTED_DIFFERENCES]:
         yield Text("differs", style="red"), _difference_text(divergence)
-    for problem in report["problems"][:_MAX_LINES]:
+    for problem in report["problems"][:_MAX_LISTED_DIFFERENCES]:
         yield Text("problem", style="red"), _problem_text(problem)
     yield "time", f"{report['seconds']:.1f} s, {report['seconds'] / report['episodes']:.2f} s an episode"
 
@@ -134,6 +138,7 @@ def _verdict_line(report: dict[str, Any]) -> str:
 def _tolerance_hint(report: dict[str, Any]) -> str:
     """Advise a tolerance if rounding alone can explain the differences."""
     unequal = any(divergence["difference"] is None for divergence in report["divergences"])
-    if unequal or report["problems"] or not report["tolerance"] < report["max_error"] <= _MAX_ROUNDING:
+    if unequal or report["problems"] or not report["tolerance"] < report["max_error"] <= _MAX_VERSION_DIFFERENCE:
         return ""
-    return f"; if it was recorded on another kind of processor, rounding can cause this: --tolerance {_MAX_ROUNDING:g}"
+    flag = f"--tolerance {_MAX_VERSION_DIFFERENCE:g}"
+    return f"; if it was recorded on another kind of processor, rounding can cause this: {flag}"

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError
-from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, Rig, Robot, Seed, Task, opener
-from yamsim_cli.flags.viewer_options import Host, Port, Web, choose_viewer, prepare_viewer
+from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, Rig, Robot, Seed, Task, session_opener
+from yamsim_cli.flags.viewer_options import Host, Port, WebOrNative, choose_viewer, prepare_viewer
 from yamsim_cli.terminal.console import print_result_now
 from yamsim_cli.terminal.signals import defer_signals
 
@@ -30,7 +30,7 @@ def view(
     episode: Annotated[
         Path | None, typer.Option(help="A recorded episode, such as dataset/ep_000003, in place of a rig.")
     ] = None,
-    web: Web = None,
+    web: WebOrNative = None,
     port: Port = None,
     host: Host = None,
     boards: Annotated[bool, typer.Option("--boards/--no-boards", help="Base boards and their mounts.")] = True,
@@ -50,7 +50,7 @@ def view(
     if seed is not None and task is None:
         raise UsageError(f"--seed {seed} determines the layout of a task; give --task with it")
     page = choose_viewer(web, port, host)
-    where = opener.find_locations()
+    where = session_opener.find_locations()
     if episode is not None:
         from yamsim_cli.core.dataset.reader import find_episode
 
@@ -61,9 +61,9 @@ def view(
 
     settings: RigConfig | RecordConfig
     if task is None:
-        settings = opener.load_rig(rig or "single", where, margin, revision, robot)
+        settings = session_opener.load_rig(rig or "single", where, margin, revision, robot)
     else:
-        settings = opener.load_record_config(
+        settings = session_opener.load_record_config(
             "default", where, rig=rig, revision=revision, robot=robot, margin=margin, task=task, seed=seed
         )
     pictures = page is not None and _can_render(where)
@@ -83,7 +83,7 @@ def view(
 
 def _can_render(locations: Locations) -> bool:
     try:
-        opener.use_gl(locations)
+        session_opener.choose_gl_backend(locations)
     except ResourceError:
         return False
     return True
@@ -104,9 +104,11 @@ def _make_live_scene(
 
     quality: RenderConfig | None = load_config(RenderConfig, "quality", "fast", locations) if pictures else None
     if isinstance(settings, RecordConfig):
-        locations = opener.with_mesh_folders(locations, visual_mesh_sets(task_blueprint(settings)))
+        locations = session_opener.with_mesh_folders(locations, visual_mesh_sets(task_blueprint(settings)))
         return make_live_task(Session(settings, locations), boards=boards, quality=quality), task_viewpoint(settings)
     assert isinstance(settings, RigConfig)
     scene = load_config(SceneConfig, "scenes", "studio", locations)
     blueprint = Blueprint(settings, scene, boards=boards)
-    return make_live_rig(blueprint, opener.with_mesh_folders(locations, visual_mesh_sets(blueprint)), quality), None
+    return make_live_rig(
+        blueprint, session_opener.with_mesh_folders(locations, visual_mesh_sets(blueprint)), quality
+    ), None

@@ -194,6 +194,10 @@ class AttemptJob:
     seed: int
     attempt: int
 
+    def for_look(self, look: int) -> AttemptJob:
+        """Return the job whose random streams vary the appearance in a look; look 0 is that of the recording."""
+        return AttemptJob(self.seed + look * 2**63, self.attempt)  # seeds are below 2**63, so no two jobs are equal
+
 
 @dataclass(frozen=True, eq=False)
 class Attempt:

@@ -12,12 +12,12 @@ from .. import __version__
 from .files.writing import write_output
 
 # HTML elements without content.
-_VOID = frozenset({"meta", "img", "br", "hr"})
+_VOID_ELEMENTS = frozenset({"meta", "img", "br", "hr"})
 
-_SPACES = "\n\N{NO-BREAK SPACE}"  # kept by a page although `str.isprintable` is false for them
+_KEPT_SPACES = "\n\N{NO-BREAK SPACE}"  # kept by a page although `str.isprintable` is false for them
 
 # The browser loads only the page itself: no script, font or picture from other sources, whatever the data contains.
-_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+_CONTENT_SECURITY_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 _STYLE = Path(__file__).with_name("report.css")
 
@@ -28,10 +28,10 @@ class Markup(str):
     __slots__ = ()
 
 
-Child = str | int | float | None | Iterable["Child"]
+HtmlChild = str | int | float | None | Iterable["HtmlChild"]
 
 
-def html_tag(name: str, /, *children: Child, **attributes: object) -> Markup:
+def html_tag(name: str, /, *children: HtmlChild, **attributes: object) -> Markup:
     """Return an element.
 
     Args:
@@ -43,21 +43,21 @@ def html_tag(name: str, /, *children: Child, **attributes: object) -> Markup:
         for key, value in attributes.items()
         if value is not None
     )
-    if name in _VOID:
+    if name in _VOID_ELEMENTS:
         return Markup(f"<{name}{written}>")
     return Markup(f"<{name}{written}>{join_markup(children)}</{name}>")
 
 
-def join_markup(children: Iterable[Child]) -> Markup:
+def join_markup(children: Iterable[HtmlChild]) -> Markup:
     """Return the concatenated markup of children."""
     return Markup("".join(map(_escape_child, children)))
 
 
-def html_page(title: str, kicker: str, heading: str, body: Iterable[Child], made: str) -> str:
+def html_page(title: str, kicker: str, heading: str, body: Iterable[HtmlChild], made: str) -> str:
     """Return a whole HTML page; `kicker`, the kind of page, is above the heading, and `made` is the footer."""
     head = [
         html_tag("meta", charset="utf-8"),
-        html_tag("meta", http_equiv="Content-Security-Policy", content=_POLICY),
+        html_tag("meta", http_equiv="Content-Security-Policy", content=_CONTENT_SECURITY_POLICY),
         html_tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
         html_tag("meta", name="referrer", content="no-referrer"),
         html_tag("title", title),
@@ -79,7 +79,7 @@ def write_page(text: str, path: Path) -> None:
     write_output(path, text.encode(), "--html")
 
 
-def html_section(title: str, *children: Child) -> Markup:
+def html_section(title: str, *children: HtmlChild) -> Markup:
     """Return a section with its heading."""
     return html_tag("section", html_tag("h2", title), children)
 
@@ -147,7 +147,7 @@ def percent(rate: float, digits: int = 1) -> str:
     return f"{rate * 100:.{digits}f}\N{NO-BREAK SPACE}%"
 
 
-def _escape_child(child: Child) -> str:
+def _escape_child(child: HtmlChild) -> str:
     if child is None:
         return ""
     if isinstance(child, Markup):
@@ -162,5 +162,6 @@ def _sanitize_text(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.2f}".rstrip("0").rstrip(".")
     return "".join(
-        letter if letter.isprintable() or letter in _SPACES else "\N{REPLACEMENT CHARACTER}" for letter in str(value)
+        letter if letter.isprintable() or letter in _KEPT_SPACES else "\N{REPLACEMENT CHARACTER}"
+        for letter in str(value)
     )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,13 @@ class CheckResults:
     episodes: Sequence[EpisodeFacts]
     attempts: Sequence[AttemptRecord]
     problems: Sequence[DatasetProblem]
+
+    def restricted(self, numbers: Collection[int]) -> CheckResults:
+        """Return the results of the episodes with these numbers, and the problems of the dataset as a whole."""
+        episodes = [episode for episode in self.episodes if episode.number in numbers]
+        left_out = {episode.name for episode in self.episodes} - {episode.name for episode in episodes}
+        problems = [problem for problem in self.problems if problem.episode not in left_out]
+        return replace(self, episodes=episodes, problems=problems)
 
 
 def combine_checks(
@@ -81,7 +88,9 @@ def summarize_checks(results: CheckResults, thresholds: Sequence[float]) -> dict
         "grasps": sorted({record.grasp for record in records}),
         "versions": [dict(found) for found in sorted({tuple(sorted(record.versions.items())) for record in records})],
         "noted_at_import": {
-            episode.name: list(map(printable_line, episode.noted)) for episode in episodes if episode.noted
+            episode.name: list(map(printable_line, episode.import_faults))
+            for episode in episodes
+            if episode.import_faults
         },
         "errors": n_errors,
         "warnings": len(problems) - n_errors,
@@ -134,11 +143,13 @@ def _value_range(values: Sequence[int]) -> dict[str, float] | None:
 
 def _workspace_statistics(results: CheckResults) -> dict[str, Any]:
     box = results.context.sampling
-    names = dict.fromkeys(name for episode in results.episodes for name in (*episode.starts, *episode.ends))
+    names = dict.fromkeys(
+        name for episode in results.episodes for name in (*episode.start_positions, *episode.end_positions)
+    )
     objects = {}
     for name in names:
-        starts = [episode.starts[name] for episode in results.episodes if name in episode.starts]
-        ends = [episode.ends[name] for episode in results.episodes if name in episode.ends]
+        starts = [episode.start_positions[name] for episode in results.episodes if name in episode.start_positions]
+        ends = [episode.end_positions[name] for episode in results.episodes if name in episode.end_positions]
         objects[printable_line(name)] = {
             "start": _position_extent(results, starts),
             "end": _position_extent(results, ends),

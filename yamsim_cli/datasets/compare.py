@@ -11,7 +11,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Difference:
+class ValueDifference:
     """A difference between a stored and a reproduced value.
 
     Attributes:
@@ -41,7 +41,7 @@ class EpisodeComparison:
     """
 
     largest: dict[str, float] = field(default_factory=dict)
-    first_difference: Difference | None = None
+    first_difference: ValueDifference | None = None
 
     @property
     def max_error(self) -> float:
@@ -58,7 +58,7 @@ def compare_frames(
         time = old.get("timestamp")
         _compare_mappings(result, old, new, tolerance, k, time if isinstance(time, float) else None)
     if len(stored) != len(made) and result.first_difference is None:
-        result.first_difference = Difference(None, None, "frames", float(len(stored)), float(len(made)), None)
+        result.first_difference = ValueDifference(None, None, "frames", float(len(stored)), float(len(made)), None)
     return result
 
 
@@ -77,8 +77,8 @@ def _compare_mappings(
     frame: int | None,
     time: float | None,
 ) -> None:
-    worst: Difference | None = None
-    for quantity, old, new in _paired_leaves(stored, made):
+    worst: ValueDifference | None = None
+    for quantity, old, new in _paired_values(stored, made):
         index, apart = _largest_difference(old, new)
         if apart is not None and _is_number(old):
             result.largest[quantity] = max(result.largest.get(quantity, 0.0), apart)
@@ -87,26 +87,26 @@ def _compare_mappings(
         size = math.inf if apart is None else apart
         if worst is None or size > (math.inf if worst.difference is None else worst.difference):
             place = f"[{', '.join(map(str, index))}]" if index else ""
-            worst = Difference(
+            worst = ValueDifference(
                 frame, time, quantity + place, _displayed_value(old, index), _displayed_value(new, index), apart
             )
     result.first_difference = result.first_difference or worst
 
 
-def _paired_leaves(
+def _paired_values(
     stored: Mapping[str, Any], made: Mapping[str, Any], prefix: str = ""
 ) -> Iterator[tuple[str, Any, Any]]:
-    """Yield name, stored and reproduced value of every entry; `_MISSING` replaces an absent value."""
+    """Yield name, stored and reproduced value of every entry; `_MISSING_VALUE` replaces an absent value."""
     for key in dict.fromkeys([*stored, *made]):
         name = f"{prefix}.{key}" if prefix else str(key)
-        old, new = stored.get(key, _MISSING), made.get(key, _MISSING)
+        old, new = stored.get(key, _MISSING_VALUE), made.get(key, _MISSING_VALUE)
         if isinstance(old, Mapping) and isinstance(new, Mapping):
-            yield from _paired_leaves(old, new, name)
+            yield from _paired_values(old, new, name)
         else:
             yield name, old, new
 
 
-_MISSING = "missing"
+_MISSING_VALUE = "missing"
 
 
 def _is_number(value: Any) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 from .. import plots
 from ..core.errors import file_size
 from ..core.markup import (
-    Child,
+    HtmlChild,
     Markup,
     captioned_plot,
     grid_section,
@@ -29,8 +29,8 @@ from .checks.episode_facts import EpisodeFacts
 _MAX_CAUSES = 12  # the most frequent ones
 _MAX_EXAMPLES = 5  # per problem code; --json lists all
 _MAX_OBJECTS = 4  # with a plot of their positions
-_MIN_MOTION = 0.02  # m; objects that never move more have no plot of end positions
-_WILSON = "Wilson's 95\N{NO-BREAK SPACE}% intervals"
+_MIN_PLOTTED_MOTION = 0.02  # m; objects that never move more have no plot of end positions
+_INTERVAL_CAPTION = "Wilson's 95\N{NO-BREAK SPACE}% intervals"
 _SPREAD_LABELS = {"median": "median", "p95": "95 %", "max": "largest"}
 
 
@@ -135,7 +135,7 @@ def _code_row(code: str, problems: Sequence[Mapping[str, Any]]) -> Markup:
     )
 
 
-def _problem_example(problem: Mapping[str, Any]) -> list[Child]:
+def _problem_example(problem: Mapping[str, Any]) -> list[HtmlChild]:
     place = "/".join(part for part in (problem["episode"], problem["file"]) if part)
     valid = f"; valid: {problem['valid']}" if problem["valid"] else ""
     more = f" (in {problem['count']} frames)" if problem["count"] > 1 else ""
@@ -158,7 +158,9 @@ def _success_section(summary: Mapping[str, Any]) -> Markup | None:
     if rate_rows:
         whose = "Of the episodes, and of all attempts made for them" if attempts["n"] else "Of the episodes"
         figures.append(
-            captioned_plot("Success by threshold", plots.plot_rates(rate_rows), f"{whose}; lines are {_WILSON}.")
+            captioned_plot(
+                "Success by threshold", plots.plot_rates(rate_rows), f"{whose}; lines are {_INTERVAL_CAPTION}."
+            )
         )
     limits = [float(limit) for limit in summary["success_rate"]]
     for key, title, marked in (
@@ -178,7 +180,7 @@ def _success_section(summary: Mapping[str, Any]) -> Markup | None:
 
 
 def _workspace_section(results: CheckResults, summary: Mapping[str, Any]) -> Markup | None:
-    names = list(dict.fromkeys(name for episode in results.episodes for name in episode.starts))[:_MAX_OBJECTS]
+    names = list(dict.fromkeys(name for episode in results.episodes for name in episode.start_positions))[:_MAX_OBJECTS]
     threshold = min((float(limit) for limit in summary["success_rate"]), default=results.context.threshold)
     found = [
         _workspace_panel(results, name, threshold, last=last)
@@ -194,7 +196,7 @@ def _workspace_panel(results: CheckResults, name: str, threshold: float, *, last
     good: list[Point] = []
     bad: list[Point] = []
     for episode in results.episodes:
-        point = (episode.ends if last else episode.starts).get(name)
+        point = (episode.end_positions if last else episode.start_positions).get(name)
         if point:
             (good if is_within_threshold(episode, threshold, results) or not episode.outcome else bad).append(point)
     failed = [] if last else _failed_starts(results, name)
@@ -215,8 +217,12 @@ def _failed_starts(results: CheckResults, name: str) -> list[Point]:
 
 
 def _has_moved(episodes: Sequence[EpisodeFacts], name: str) -> bool:
-    pairs = [(e.starts[name], e.ends[name]) for e in episodes if name in e.starts and name in e.ends]
-    return any(math.dist(start, end) > _MIN_MOTION for start, end in pairs)
+    pairs = [
+        (e.start_positions[name], e.end_positions[name])
+        for e in episodes
+        if name in e.start_positions and name in e.end_positions
+    ]
+    return any(math.dist(start, end) > _MIN_PLOTTED_MOTION for start, end in pairs)
 
 
 def _workspace_legend(results: CheckResults, threshold: float) -> Markup:

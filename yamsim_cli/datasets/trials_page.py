@@ -23,10 +23,10 @@ from ..core.statistics import compute_coverage, compute_histogram
 from ..plots import ObjectPlaces, Point, plot_workspace
 from .check_summary import CELL_M
 
-Box = tuple[Point, Point]
+XyRegion = tuple[Point, Point]
 
 
-def start_boxes(config: RecordConfig) -> dict[str, Box]:
+def start_boxes(config: RecordConfig) -> dict[str, XyRegion]:
     """Return object -> x and y range of its start region on the table in `world`, m."""
     return {
         name: (start.x, start.y)
@@ -36,7 +36,7 @@ def start_boxes(config: RecordConfig) -> dict[str, Box]:
     }
 
 
-def trials_page(report: Mapping[str, Any], boxes: Mapping[str, Box], made: str) -> str:
+def trials_page(report: Mapping[str, Any], boxes: Mapping[str, XyRegion], made: str) -> str:
     """Return the trials page as HTML.
 
     Args:
@@ -112,7 +112,7 @@ def _measure_row(what: str, found: Sequence[Mapping[str, Any]]) -> tuple[str, st
 
 
 def _workspace_section(
-    good: Sequence[Mapping[str, Any]], failed: Sequence[Mapping[str, Any]], boxes: Mapping[str, Box]
+    good: Sequence[Mapping[str, Any]], failed: Sequence[Mapping[str, Any]], boxes: Mapping[str, XyRegion]
 ) -> Markup | None:
     panels = []
     for name in dict.fromkeys(name for trial in (*good, *failed) for name in trial["layout"]):

@@ -25,7 +25,7 @@ from ..core.dataset.reader import StoredEpisode, open_episode
 from ..core.dataset.records import EpisodeRecord, OutcomeRecord, attempt_from_record
 from ..core.episode.attempt_payload import (
     APPEARANCE_REVISION,
-    ENGINE,
+    SIMULATION_REVISION,
     encode_images,
     library_versions,
 )
@@ -40,13 +40,15 @@ from ..core.progress import Progress
 from ..core.scene.build import describe_meshes
 from ..core.workers.executors import run_all
 from ..core.workers.process_pool import ProcessPool
-from .compare import Difference, EpisodeComparison, compare_frames, compare_values
+from .compare import EpisodeComparison, ValueDifference, compare_frames, compare_values
 
 # Checks, in the order in which their differences are reported.
 SEED, ACTIONS, IMAGES = "seed", "actions", "images"
-CHECKS = (SEED, ACTIONS, IMAGES)
+CHECK_NAMES = (SEED, ACTIONS, IMAGES)
 
-Frames = Sequence[Mapping[str, Any]]
+_CAMERA_KEYS = ("intrinsics", "extrinsics", "K_wrist")  # of frames; cameras may be on the arm
+
+RecordedFrames = Sequence[Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -69,17 +71,17 @@ class EpisodeVerdict:
     Attributes:
         skipped: check -> why it was not possible.
         problems: file -> fault other than a difference of values; "" for the whole episode.
-        changed: library or component -> version at recording time and now, if they differ.
+        changed_versions: library or component -> version at recording time and now, if they differ.
     """
 
     episode: int
     checks: Mapping[str, EpisodeComparison] = field(default_factory=dict)
     skipped: Mapping[str, str] = field(default_factory=dict)
     problems: Mapping[str, str] = field(default_factory=dict)
-    changed: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    changed_versions: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
     @property
-    def agrees(self) -> bool:
+    def is_reproduced(self) -> bool:
         """Whether the episode has no fault and no difference."""
         return not self.problems and all(check.first_difference is None for check in self.checks.values())
 
@@ -94,6 +96,13 @@ class EpisodeVerifier(Closable):
     def __init__(self, session: Session, tolerances: Tolerances) -> None:
         self._simulators = SimulatorCache(session)
         self._session = session
+        drawn = session.config.drawn
+        self._drawn = drawn is not None
+        self._physics, self._other_rig = self._simulators, drawn is not None and drawn.rig is not None
+        if drawn is not None and drawn.rig is not None:
+            # The images show another rig than that of the states.
+            source = session.with_values(rig=drawn.rig, cameras=None, camera_effects=())
+            self._physics = SimulatorCache(source.without_meshes())
         self._tolerances = tolerances
 
     def run(self, job: tuple[int, Path]) -> EpisodeVerdict:
@@ -105,25 +114,26 @@ class EpisodeVerifier(Closable):
         changed: dict[str, tuple[str, str]] = {}
         try:
             episode = open_episode(directory)
-            if others := self._other_meshes(episode):
+            if others := self._mesh_differences(episode):
                 problems[EPISODE_FILE] = f"it shows other meshes than {CONFIG_FILE} says: {'; '.join(others)}"
             changed = self._changed_versions(episode)
             frames = _read_frames(episode, problems)
             if episode.record.source != "record":
                 skipped[SEED] = f"it comes from {episode.record.source!r}, not from a seed"
-            elif (engine := episode.record.versions["engine"]) != ENGINE:
+            elif (engine := episode.record.versions["engine"]) != SIMULATION_REVISION:
                 version = episode.record.versions.get("yamsim", "unknown")
                 skipped[SEED] = (
-                    f"it was made by engine revision {engine} of yamsim {version}; this version's revision {ENGINE} "
-                    "makes other episodes from the same seeds; only its actions are repeated"
+                    f"it was made by engine revision {engine} of yamsim {version}; this version's revision "
+                    f"{SIMULATION_REVISION} makes other episodes from the same seeds; only its actions are repeated"
                 )
-                if self._tolerances.images is not None:
+                if self._tolerances.images is not None and not self._drawn:
                     skipped[IMAGES] = skipped[SEED]
             else:
                 checks |= self._verify_from_seed(episode, frames, skipped)
-            if repeated := reproduce_frames(
-                self._simulator_of(episode.record), episode, frames, self._tolerances.values
-            ):
+            if self._drawn and self._tolerances.images is not None:
+                checks |= self._verify_drawing(episode, frames, skipped)
+            physics = self._physics.get(AttemptJob(episode.record.seed, episode.record.attempt))
+            if repeated := reproduce_frames(physics, episode, self._physical(frames), self._tolerances.values):
                 checks[ACTIONS] = repeated
             else:
                 skipped[ACTIONS] = "its frames hold no sim_qpos, sim_ctrl and sim_magnet"
@@ -133,12 +143,13 @@ class EpisodeVerifier(Closable):
         return EpisodeVerdict(number, checks, skipped, problems, changed)
 
     def _verify_from_seed(
-        self, episode: StoredEpisode, frames: Frames, skipped: dict[str, str]
+        self, episode: StoredEpisode, frames: RecordedFrames, skipped: dict[str, str]
     ) -> dict[str, EpisodeComparison]:
         """Simulate the attempt from its seed. Add to `skipped` why images are not compared."""
-        record, simulator = episode.record, self._simulator_of(episode.record)
-        done = simulate_expert(simulator, sample_attempt(simulator, AttemptJob(record.seed, record.attempt)))
-        made = made_frames(simulator, done.attempt, done.recorded_states)
+        record = episode.record
+        simulator = self._physics.get(job := AttemptJob(record.seed, record.attempt))
+        done = simulate_expert(simulator, sample_attempt(simulator, job))
+        made = self._physical(made_frames(simulator, done.attempt, done.recorded_states))
         once = compare_values(
             {"outcome": _outcome_numbers(record.outcome), "start": _pose_arrays(record.layout)}
             | {"randomized": asdict(record.randomized)},
@@ -149,18 +160,41 @@ class EpisodeVerifier(Closable):
             | {"randomized": asdict(done.attempt.variation)},
             self._tolerances.values,
         )
-        checks = {SEED: _merge_comparisons(compare_frames(frames, made, self._tolerances.values), once)}
-        if self._tolerances.images is None:
+        compared = compare_frames(self._physical(frames), made, self._tolerances.values)
+        checks = {SEED: _merge_comparisons(compared, once)}
+        if self._tolerances.images is None or self._drawn or self._has_other_looks(record, skipped):
             return checks
-        if (looks := record.versions["looks"]) != APPEARANCE_REVISION:
-            skipped[IMAGES] = (
-                f"its images have appearance revision {looks}, but this version renders revision "
-                f"{APPEARANCE_REVISION}: they differ as intended and are not damaged"
-            )
-        elif done.recorded_states:
+        if done.recorded_states:
             images = encode_images(simulator, done.attempt, [state.qpos for state in done.recorded_states])
             checks[IMAGES] = _compare_images(episode, images, self._tolerances.images)
         return checks
+
+    def _verify_drawing(
+        self, episode: StoredEpisode, frames: RecordedFrames, skipped: dict[str, str]
+    ) -> dict[str, EpisodeComparison]:
+        """Render the stored states again, as `yamsim draw` did. Add to `skipped` why images are not compared."""
+        assert self._tolerances.images is not None
+        if self._has_other_looks(episode.record, skipped):
+            return {}
+        positions = [frame["sim_qpos"] for frame in frames]
+        simulator = self._simulator_of(episode.record)
+        images = encode_images(simulator, attempt_from_record(episode.record), positions)
+        return {IMAGES: _compare_images(episode, images, self._tolerances.images)}
+
+    @staticmethod
+    def _has_other_looks(record: EpisodeRecord, skipped: dict[str, str]) -> bool:
+        """Return whether the images have another appearance revision, and then say so in `skipped`."""
+        if (looks := record.versions["looks"]) == APPEARANCE_REVISION:
+            return False
+        skipped[IMAGES] = (
+            f"its images have appearance revision {looks}, but this version renders revision "
+            f"{APPEARANCE_REVISION}: they differ as intended and are not damaged"
+        )
+        return True
+
+    def _physical(self, frames: RecordedFrames) -> RecordedFrames:
+        """Return frames without the values of cameras, if the images show another rig than physics has."""
+        return _without_cameras(frames) if self._other_rig else frames
 
     def _simulator_of(self, record: EpisodeRecord) -> Simulator:
         return self._simulators.get(AttemptJob(record.seed, record.attempt))
@@ -179,17 +213,18 @@ class EpisodeVerifier(Closable):
     def _shown_meshes(self) -> dict[str, str]:
         return describe_meshes(self._session)
 
-    def _other_meshes(self, episode: StoredEpisode) -> list[str]:
+    def _mesh_differences(self, episode: StoredEpisode) -> list[str]:
         stated, own = self._session.config.meshes, episode.record.meshes
         return mesh_differences(own, stated, ("here", "there")) if stated is not None and own is not None else []
 
     def close(self) -> None:
         """Free the renderers."""
         self._simulators.close()
+        self._physics.close()
 
 
 def reproduce_frames(
-    simulator: Simulator, episode: StoredEpisode, frames: Frames, tolerance: float
+    simulator: Simulator, episode: StoredEpisode, frames: RecordedFrames, tolerance: float
 ) -> EpisodeComparison | None:
     """Replay an episode's actions in physics from its recorded start, and compare with the stored frames.
 
@@ -207,13 +242,14 @@ def reproduce_frames(
     # Actions do not tell which skills the expert tried again.
     judged = OutcomeRecord.from_outcome(done.outcome).model_copy(update={"recoveries": stored.recoveries})
     # Earlier engines judged and measured differently. Final positions and speeds do not depend on that.
-    keys = None if episode.record.versions["engine"] == ENGINE else {"dxy_m", "dz_m", "speed_mps"}
+    keys = None if episode.record.versions["engine"] == SIMULATION_REVISION else {"dxy_m", "dz_m", "speed_mps"}
     once = compare_values(
         {"outcome": _outcome_numbers(stored, keys)}, {"outcome": _outcome_numbers(judged, keys)}, tolerance
     )
-    return _merge_comparisons(
-        compare_frames(frames, made_frames(simulator, attempt, done.recorded_states), tolerance), once
-    )
+    made: RecordedFrames = made_frames(simulator, attempt, done.recorded_states)
+    if "extrinsics" not in frames[0]:
+        made = _without_cameras(made)
+    return _merge_comparisons(compare_frames(frames, made, tolerance), once)
 
 
 def reproduce_episode(episode: StoredEpisode, session: Session) -> EpisodeComparison | None:
@@ -221,6 +257,10 @@ def reproduce_episode(episode: StoredEpisode, session: Session) -> EpisodeCompar
     job = AttemptJob(episode.record.seed, episode.record.attempt)
     with make_simulator(session.without_meshes(), job) as simulator:
         return reproduce_frames(simulator, episode, episode.frames(), tolerance=0.0)
+
+
+def _without_cameras(frames: RecordedFrames) -> list[dict[str, Any]]:
+    return [{key: value for key, value in frame.items() if key not in _CAMERA_KEYS} for frame in frames]
 
 
 def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[str, Any]]:
@@ -257,25 +297,25 @@ def _compare_images(episode: StoredEpisode, images: Mapping[str, bytes], limit: 
         for camera in record.cameras:
             name = image_path(camera, k)
             stored, made = episode.read(name), images.get(name, b"")
-            apart = 0.0 if stored == made else _pixels_apart(stored, made)
+            apart = 0.0 if stored == made else _mean_pixel_difference(stored, made)
             result.largest[camera] = max(result.largest.get(camera, 0.0), 255.0 if apart is None else apart)
             if stored != made and (apart is None or apart > limit or limit == 0.0) and result.first_difference is None:
                 shown = [f"{len(data)} bytes" for data in (stored, made)]
-                result.first_difference = Difference(k, k * record.frame_period_s, name, shown[0], shown[1], apart)
+                result.first_difference = ValueDifference(k, k * record.frame_period_s, name, shown[0], shown[1], apart)
     if limit == 0.0 and result.first_difference is None:
-        result.first_difference = _first_other_truth(episode, images)
+        result.first_difference = _first_truth_difference(episode, images)
     return result
 
 
-def _first_other_truth(episode: StoredEpisode, images: Mapping[str, bytes]) -> Difference | None:
+def _first_truth_difference(episode: StoredEpisode, images: Mapping[str, bytes]) -> ValueDifference | None:
     for name in (name for name in episode.record.files if name.startswith(TRUTH_FOLDERS)):
         stored, made = episode.read(name), images.get(name, b"")
         if stored != made:
-            return Difference(None, None, name, f"{len(stored)} bytes", f"{len(made)} bytes", None)
+            return ValueDifference(None, None, name, f"{len(stored)} bytes", f"{len(made)} bytes", None)
     return None
 
 
-def _pixels_apart(stored: bytes, made: bytes) -> float | None:
+def _mean_pixel_difference(stored: bytes, made: bytes) -> float | None:
     """Return the mean pixel difference of two JPEGs, 0 to 255; None if one is damaged or the sizes differ."""
     one, other = decode_jpeg(stored), decode_jpeg(made)
     if one is None or other is None or one.shape != other.shape:
@@ -298,7 +338,7 @@ def verify(
     except KeyboardInterrupt:
         raise InterruptedJobError(
             f"interrupted after {len(verdicts)} of {len(episodes)} episodes, "
-            f"{sum(verdict.agrees for verdict in verdicts)} of which agree"
+            f"{sum(verdict.is_reproduced for verdict in verdicts)} of which agree"
         ) from None
     verdicts.sort(key=lambda verdict: verdict.episode)
     return _verification_report(verdicts, tolerances) | {"seconds": round(time.monotonic() - began, 3)}
@@ -308,14 +348,14 @@ def _verification_report(verdicts: Sequence[EpisodeVerdict], tolerances: Toleran
     divergences = [
         {"episode": verdict.episode, "check": check, **asdict(comparison.first_difference)}
         for verdict in verdicts
-        for check in CHECKS
+        for check in CHECK_NAMES
         if (comparison := verdict.checks.get(check)) and comparison.first_difference
     ]
-    checks = {check: _check_report(verdicts, check) for check in CHECKS}
+    checks = {check: _check_report(verdicts, check) for check in CHECK_NAMES}
     remade = [found["max_error"] for check in (SEED, ACTIONS) if (found := checks[check])]
     return {
         "episodes": len(verdicts),
-        "agree": sum(verdict.agrees for verdict in verdicts),
+        "agree": sum(verdict.is_reproduced for verdict in verdicts),
         # Images are excluded: their differences have another unit.
         "max_error": max(remade, default=0.0),
         "first_divergence": divergences[0] if divergences else None,
@@ -353,7 +393,7 @@ def _check_report(verdicts: Sequence[EpisodeVerdict], check: str) -> dict[str, A
 def _changed_versions_report(verdicts: Sequence[EpisodeVerdict]) -> list[dict[str, Any]]:
     concerned: dict[tuple[str, str, str], list[int]] = {}
     for verdict in verdicts:
-        for name, (then, now) in verdict.changed.items():
+        for name, (then, now) in verdict.changed_versions.items():
             concerned.setdefault((name, then, now), []).append(verdict.episode)
     return [
         {"name": name, "recorded": then, "now": now, "episodes": join_ranges(numbers)}

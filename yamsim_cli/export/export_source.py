@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,12 +23,13 @@ from ..core.dataset.reader import (
     open_episode,
     open_recorded_episode,
     read_recording_config,
-    select_episodes,
+    select_episode_directories,
 )
 from ..core.dataset.row_format import arm_prefixes, drive_names, weld_names
-from ..core.errors import DatasetError
+from ..core.errors import DatasetError, UsageError
 from ..core.files.resources import Locations
 from ..core.geometry.se3 import Array
+from ..selection import AppliedSelection
 
 # Exported actions: recorded commands, joints measured one frame later, or none.
 ActionSource = Literal["recorded", "measured", "none"]
@@ -41,12 +42,16 @@ ROUNDING_S = 1e-9  # s; without this tolerance, rounding could drop the last fra
 
 @dataclass(frozen=True)
 class ExportSource(ABC):
-    """Selected episodes of one dataset, all with the same cameras."""
+    """Selected episodes of one dataset, all with the same cameras.
+
+    `selection` holds the decisions of a person that chose the episodes, and the frames that are cut off.
+    """
 
     path: Path
     directories: tuple[Path, ...]
     first: RecordedEpisode
     config: RecordConfig | RealConfig
+    selection: AppliedSelection | None = field(default=None, kw_only=True)
 
     def __len__(self) -> int:
         return len(self.directories)
@@ -96,26 +101,26 @@ class SimulatedSource(ExportSource):
     def open_episodes(self) -> Iterator[StoredEpisode]:
         """See `ExportSource.open_episodes`."""
         for directory in self.directories:
-            episode = open_episode(directory)
-            _require_alike(episode, self.first, ("cameras", "frame_period_s", "objects", "arms"))
+            episode = self.selection.open_episode(directory) if self.selection else open_episode(directory)
+            _require_same_as_first(episode, self.first, ("cameras", "frame_period_s", "objects", "arms"))
             yield episode
 
 
 @dataclass(frozen=True)
 class RealEpisode(RecordedEpisode):
-    """A recording of real arms with the recorded frame of each exported frame, `chosen`; frames may repeat."""
+    """A recording of real arms with the recorded frame of each exported frame, `frame_numbers`; frames may repeat."""
 
     record: RealEpisodeRecord
-    chosen: tuple[int, ...]
+    frame_numbers: tuple[int, ...]
 
     def frames(self) -> list[dict[str, Any]]:
         """Read the low-dimensional data of the selected frames."""
-        recorded = {k: self.frame(k, self.read_verified(lowdim_path(k))) for k in dict.fromkeys(self.chosen)}
-        return [recorded[k] for k in self.chosen]
+        recorded = {k: self.frame(k, self.read_verified(lowdim_path(k))) for k in dict.fromkeys(self.frame_numbers)}
+        return [recorded[k] for k in self.frame_numbers]
 
     def image(self, camera: str, number: int) -> bytes:
         """Return the JPEG bytes of exported frame `number`."""
-        return self.read_verified(image_path(camera, self.chosen[number]))
+        return self.read_verified(image_path(camera, self.frame_numbers[number]))
 
 
 @dataclass(frozen=True)
@@ -147,7 +152,7 @@ class RealSource(ExportSource):
         """See `ExportSource.open_episodes`."""
         for directory in self.directories:
             episode = open_recorded_episode(directory)
-            _require_alike(episode, self.first, ("cameras", "arms", "drives"))
+            _require_same_as_first(episode, self.first, ("cameras", "arms", "drives"))
             usual = episode.record.frame_period_s
             if not self.is_resampled and abs(usual / self.period - 1) > _MAX_UNEVENNESS:
                 raise DatasetError(
@@ -159,11 +164,13 @@ class RealSource(ExportSource):
     def _select_frames(self, episode: RecordedEpisode) -> RealEpisode:
         record = episode.record
         assert isinstance(record, RealEpisodeRecord), "the dataset's config says so"
-        if not self.is_resampled:
-            return RealEpisode(episode.directory, record, tuple(range(record.frames)))
-        times = np.array([frame["timestamp"] for frame in episode.frames()])
-        chosen = nearest_to_even(times, self.period)
-        record = record.model_copy(update={"frames": len(chosen), "frame_period_s": self.period})
+        trimmed = self.selection.trim(episode) if self.selection else episode
+        chosen = tuple(range(trimmed.first_frame, trimmed.first_frame + trimmed.record.frames))
+        if self.is_resampled:
+            times = np.array([frame["timestamp"] for frame in trimmed.frames()])
+            chosen = tuple(trimmed.first_frame + k for k in nearest_to_even(times, self.period))
+            record = record.model_copy(update={"frame_period_s": self.period})
+        record = record.model_copy(update={"frames": len(chosen)})
         return RealEpisode(episode.directory, record, chosen)
 
     def with_gripper_shares(self, values: ArrayLike) -> Array:
@@ -206,7 +213,7 @@ class RealSource(ExportSource):
         )
 
 
-def _require_alike(episode: RecordedEpisode, first: RecordedEpisode, keys: Sequence[str]) -> None:
+def _require_same_as_first(episode: RecordedEpisode, first: RecordedEpisode, keys: Sequence[str]) -> None:
     for key in keys:
         here, there = getattr(episode.record, key), getattr(first.record, key)
         if here != there:
@@ -229,33 +236,49 @@ def nearest_to_even(times: Array, period: float) -> tuple[int, ...]:
     return tuple(np.searchsorted(middles, even - ROUNDING_S).tolist())
 
 
-def open_source(dataset: Path, episodes: str | None, locations: Locations) -> SimulatedSource:
+def open_source(
+    dataset: Path, episodes: str | None, locations: Locations, selection: AppliedSelection | None = None
+) -> SimulatedSource:
     """Open selected episodes of a simulated dataset.
 
     Args:
         episodes: numbers and ranges, such as `0,3,5-9`; None for all.
+        selection: decisions of a person, which also cut off frames.
     """
-    directories = tuple(directory for _, directory in select_episodes(dataset, episodes, None))
-    return SimulatedSource(
-        dataset, directories, open_episode(directories[0]), read_recording_config(dataset, locations)
-    )
+    directories = _select_directories(dataset, episodes, selection)
+    first = selection.open_episode(directories[0]) if selection else open_episode(directories[0])
+    return SimulatedSource(dataset, directories, first, read_recording_config(dataset, locations), selection=selection)
 
 
-def open_real_source(dataset: Path, episodes: str | None, locations: Locations, fps: float | None = None) -> RealSource:
+def _select_directories(dataset: Path, episodes: str | None, selection: AppliedSelection | None) -> tuple[Path, ...]:
+    chosen = select_episode_directories(dataset, episodes, None, selection.kept if selection else None)
+    if not chosen and selection:
+        raise UsageError(f"--episodes {episodes}: {selection.path} keeps none of these; give others")
+    return tuple(directory for _, directory in chosen)
+
+
+def open_real_source(
+    dataset: Path,
+    episodes: str | None,
+    locations: Locations,
+    fps: float | None = None,
+    selection: AppliedSelection | None = None,
+) -> RealSource:
     """Open selected episodes of a dataset of real recordings.
 
     Args:
         episodes: numbers and ranges, such as `0,3,5-9`; None for all.
         fps: frames per second of the export, at even times; None for all recorded frames, at the median recorded rate.
+        selection: decisions of a person, which also cut off frames.
     """
-    directories = tuple(directory for _, directory in select_episodes(dataset, episodes, None))
+    directories = _select_directories(dataset, episodes, selection)
     config = read_imported_config(dataset, locations)
     opened = [open_recorded_episode(directory) for directory in directories]
     for episode in opened:
         if isinstance(episode, StoredEpisode):
             raise DatasetError(f"{episode.directory} was simulated, and its dataset holds real recordings: move it out")
     rate = fps or _common_fps([episode.record.frame_period_s for episode in opened])
-    return RealSource(dataset, directories, opened[0], config, 1 / rate, fps is not None)
+    return RealSource(dataset, directories, opened[0], config, 1 / rate, fps is not None, selection=selection)
 
 
 def _common_fps(periods: Sequence[float]) -> float:

@@ -30,7 +30,7 @@ from .output_directory import ExportResult, export_directory
 
 FeatureValues = dict[str, NDArray[Any]]  # feature -> values (frames, ...) of one episode
 
-_UNLIKE_FIRST = "unlike the first episode: export them separately with --episodes"
+_DIFFERS_FROM_FIRST_TEXT = "unlike the first episode: export them separately with --episodes"
 
 
 def export_lerobot(
@@ -65,7 +65,9 @@ def export_real_lerobot(
     return _export(source, out, progress, _RealContent(source, pictures, actions), overwrite)
 
 
-def _export(source: ExportSource, out: Path, progress: Progress, content: _Content, overwrite: bool) -> ExportResult:
+def _export(
+    source: ExportSource, out: Path, progress: Progress, content: _FeatureSource, overwrite: bool
+) -> ExportResult:
     require_library("a LeRobot dataset", "pyarrow", "lerobot")
     if content.pictures and source.camera_sizes:
         require_encoder()
@@ -78,7 +80,7 @@ def _export(source: ExportSource, out: Path, progress: Progress, content: _Conte
     return ExportResult(out, len(source), writer.frames, stage.moved_aside, tuple(content.notes))
 
 
-class _Content(ABC):
+class _FeatureSource(ABC):
     """Supplies the features of an export, except images and those that every dataset of the format has.
 
     After the last episode, `about` has entries for the provenance file, and `notes` has lines for the user.
@@ -102,7 +104,7 @@ class _Content(ABC):
         """Return the entry of an episode in the provenance file `meta/yamsim.json`."""
 
 
-class _SimulatedContent(_Content):
+class _SimulatedContent(_FeatureSource):
     def __init__(self, source: SimulatedSource, pictures: bool, environment_state: bool) -> None:
         super().__init__(pictures, {})
         self._source = source
@@ -112,12 +114,12 @@ class _SimulatedContent(_Content):
     def column_features(self) -> dict[str, LeRobotFeature]:
         source = self._source
         features = {
-            schema.STATE: schema.row_feature(source.drive_names),
-            schema.ACTION: schema.row_feature((*source.drive_names, *source.weld_names)),
+            schema.STATE_KEY: schema.row_feature(source.drive_names),
+            schema.ACTION_KEY: schema.row_feature((*source.drive_names, *source.weld_names)),
         }
         if self._things:
             names = state_names(self._things, source.first.record.joints)
-            features[schema.ENVIRONMENT_STATE] = schema.row_feature(names)
+            features[schema.ENVIRONMENT_STATE_KEY] = schema.row_feature(names)
         return features | schema.matrix_features(self._cameras, self._cameras)
 
     def feature_values(self, episode: StoredEpisode, frames: Frames) -> FeatureValues:
@@ -130,9 +132,9 @@ class _SimulatedContent(_Content):
         if RIGHT_IN_LEFT_BASE_KEY in frames[0]:
             self.about[RIGHT_IN_LEFT_BASE_KEY] = frames[0][RIGHT_IN_LEFT_BASE_KEY].tolist()
         states, actions = zip(*(_state_and_action(frame) for frame in frames), strict=True)
-        values = {schema.STATE: np.array(states), schema.ACTION: np.array(actions)}
+        values = {schema.STATE_KEY: np.array(states), schema.ACTION_KEY: np.array(actions)}
         if self._things:
-            values[schema.ENVIRONMENT_STATE] = np.array(
+            values[schema.ENVIRONMENT_STATE_KEY] = np.array(
                 [
                     make_state_row(
                         [(frame[f"{thing}_pose"], frame.get(joints_key(thing), ())) for thing in self._things]
@@ -146,7 +148,7 @@ class _SimulatedContent(_Content):
         return {"seed": episode.record.seed, "attempt": episode.record.attempt}
 
 
-class _RealContent(_Content):
+class _RealContent(_FeatureSource):
     """Features of real recordings. Grippers are shares of their opening, as in public datasets of real stations."""
 
     def __init__(self, source: RealSource, pictures: bool, actions: ActionSource) -> None:
@@ -159,33 +161,33 @@ class _RealContent(_Content):
 
     def column_features(self) -> dict[str, LeRobotFeature]:
         source = self._source
-        features = {schema.STATE: schema.row_feature(source.drive_names)}
+        features = {schema.STATE_KEY: schema.row_feature(source.drive_names)}
         if self._actions != "none":
-            features[schema.ACTION] = schema.row_feature(source.drive_names)
-        features[schema.RECORDED_TIME] = LeRobotFeature("float64", (1,))
+            features[schema.ACTION_KEY] = schema.row_feature(source.drive_names)
+        features[schema.RECORDED_TIME_KEY] = LeRobotFeature("float64", (1,))
         if self._velocities:
             named = zip(source.arm_prefixes, source.rig.recording_order, strict=True)
             joints = [prefix + name for prefix, k in named for name in source.rig.arms[k].robot.joint_drives]
-            features[schema.VELOCITIES] = schema.row_feature(joints)
+            features[schema.VELOCITIES_KEY] = schema.row_feature(joints)
         return features | schema.matrix_features(self._intrinsics, self._extrinsics)
 
     def feature_values(self, episode: RealEpisode, frames: Frames) -> FeatureValues:
         source, n = self._source, len(frames)
         values: FeatureValues = {
-            schema.STATE: source.with_gripper_shares([frame["joints"] for frame in frames]).reshape(n, -1)
+            schema.STATE_KEY: source.with_gripper_shares([frame["joints"] for frame in frames]).reshape(n, -1)
         }
         if self._actions != "none":
-            values[schema.ACTION] = source.actions(episode, frames, self._actions).reshape(n, -1)
-        values[schema.RECORDED_TIME] = np.array([frame["timestamp"] for frame in frames])
+            values[schema.ACTION_KEY] = source.actions(episode, frames, self._actions).reshape(n, -1)
+        values[schema.RECORDED_TIME_KEY] = np.array([frame["timestamp"] for frame in frames])
         if self._velocities:
-            values[schema.VELOCITIES] = np.reshape(_column_values(episode, frames, "joint_velocities"), (n, -1))
+            values[schema.VELOCITIES_KEY] = np.reshape(_column_values(episode, frames, "joint_velocities"), (n, -1))
         for key, cameras in (("intrinsics", self._intrinsics), ("extrinsics", self._extrinsics)):
             for camera in cameras:
                 if not all(camera in matrices for matrices in _column_values(episode, frames, key)):
-                    raise DatasetError(f"{episode.directory} has no {key} of {camera}, {_UNLIKE_FIRST}")
+                    raise DatasetError(f"{episode.directory} has no {key} of {camera}, {_DIFFERS_FROM_FIRST_TEXT}")
         values |= _flatten_matrices(self._intrinsics, self._extrinsics, frames)
         if (note := source.describe_uneven_times(episode, frames)) is not None:
-            self.notes.append(f"{note}, and {schema.RECORDED_TIME} the recorded times")
+            self.notes.append(f"{note}, and {schema.RECORDED_TIME_KEY} the recorded times")
         return values
 
     def provenance_entry(self, episode: RealEpisode) -> dict[str, Any]:
@@ -212,7 +214,7 @@ def _flatten_matrices(intrinsics: Iterable[str], extrinsics: Iterable[str], fram
 
 def _column_values(episode: RecordedEpisode, frames: Frames, key: str) -> list[Any]:
     if not all(key in frame for frame in frames):
-        raise DatasetError(f"{episode.directory} has no {key}, {_UNLIKE_FIRST}")
+        raise DatasetError(f"{episode.directory} has no {key}, {_DIFFERS_FROM_FIRST_TEXT}")
     return [frame[key] for frame in frames]
 
 
@@ -233,7 +235,7 @@ def _write_video(path: Path, episode: RecordedEpisode, camera: str, period: floa
 
 
 class _LeRobotWriter(Closable):
-    def __init__(self, root: Path, source: ExportSource, content: _Content) -> None:
+    def __init__(self, root: Path, source: ExportSource, content: _FeatureSource) -> None:
         self.frames = 0
         self._root, self._source, self._content = root, source, content
         self._cameras = source.camera_sizes if content.pictures else {}
@@ -242,8 +244,8 @@ class _LeRobotWriter(Closable):
         self._total = RunningStats()
         self._provenance: list[dict[str, Any]] = []
         self._open = contextlib.ExitStack()
-        self._data = self._open.enter_context(TableSeries(root, schema.DATA, schema.DATA_FILE_MB))
-        self._episodes = self._open.enter_context(TableSeries(root, schema.EPISODES, schema.DATA_FILE_MB))
+        self._data = self._open.enter_context(TableSeries(root, schema.DATA_FILE_PATTERN, schema.DATA_FILE_MB))
+        self._episodes = self._open.enter_context(TableSeries(root, schema.EPISODES_FILE_PATTERN, schema.DATA_FILE_MB))
         # Threads run in parallel, since decoding and encoding release the GIL.
         self._threads = self._open.enter_context(ThreadPoolExecutor(max(1, len(self._cameras))))
 
@@ -254,7 +256,7 @@ class _LeRobotWriter(Closable):
         number, period = len(self._provenance), self._source.frame_period
         video_place, encoding = SeriesFile(number), {}
         for camera in self._cameras:
-            path = self._root / video_place.path(schema.VIDEO, video_key=schema.image_key(camera))
+            path = self._root / video_place.path(schema.VIDEO_FILE_PATTERN, video_key=schema.image_key(camera))
             encoding[camera] = self._threads.submit(_write_video, path, episode, camera, period)
         frames = episode.frames()
         task = frames[0].get("language_prompt", "")
@@ -263,7 +265,7 @@ class _LeRobotWriter(Closable):
         videos = {schema.image_key(camera): video.result() for camera, video in encoding.items()}
         stats = {key: found for key, (_, found) in videos.items()}
         stats |= {key: column_stats(value) for key, value in values.items()}
-        place, rows_place = self._data.next_place(), self._episodes.next_place()
+        place, rows_place = self._data.file_for_next_table(), self._episodes.file_for_next_table()
         row: dict[str, Any] = {
             "episode_index": number,
             "tasks": [task],
@@ -310,13 +312,16 @@ class _LeRobotWriter(Closable):
         robots = [source.rig.arms[k].model.name for k in source.rig.recording_order]
         stats = self._total.stats().items()
         contents: dict[str, dict[str, Any]] = {
-            schema.INFO: schema.info_json(sizes, round(1 / source.frame_period, 6), robots, self._columns, **counts),
-            schema.STATS: {
+            schema.INFO_FILE: schema.info_json(
+                sizes, round(1 / source.frame_period, 6), robots, self._columns, **counts
+            ),
+            schema.STATS_FILE: {
                 key: {name: value.tolist() for name, value in _plain_stats(found).items()} for key, found in stats
             },
-            schema.PROVENANCE: {
+            schema.PROVENANCE_FILE: {
                 "dataset": source.path.absolute().name,
                 **self._content.about,
+                **({"selection": source.selection.report()} if source.selection else {}),
                 "episodes": self._provenance,
             },
         }

@@ -23,27 +23,27 @@ DATA_FILE_MB = 100  # MB, at which a new Parquet file begins
 VIDEO_FILE_MB = 200  # MB, up to which lerobot's tools join videos; this export writes one file per episode
 KEY_FRAME_INTERVAL = 2  # frames, as lerobot encodes: training reads single frames at random
 
-INFO = "meta/info.json"
-STATS = "meta/stats.json"
-TASKS = "meta/tasks.parquet"
+INFO_FILE = "meta/info.json"
+STATS_FILE = "meta/stats.json"
+TASKS_FILE = "meta/tasks.parquet"
 # Extra file outside the format: source episode and seed of each exported episode.
-PROVENANCE = "meta/yamsim.json"
+PROVENANCE_FILE = "meta/yamsim.json"
 
-_FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
-DATA = f"data/{_FILE}.parquet"
-EPISODES = f"meta/episodes/{_FILE}.parquet"
-VIDEO = "videos/{video_key}/" + _FILE + ".mp4"
+_SERIES_FILE_PATTERN = "chunk-{chunk_index:03d}/file-{file_index:03d}"
+DATA_FILE_PATTERN = f"data/{_SERIES_FILE_PATTERN}.parquet"
+EPISODES_FILE_PATTERN = f"meta/episodes/{_SERIES_FILE_PATTERN}.parquet"
+VIDEO_FILE_PATTERN = "videos/{video_key}/" + _SERIES_FILE_PATTERN + ".mp4"
 
-STATE = "observation.state"
+STATE_KEY = "observation.state"
 # Object poses; lerobot gives this key to policies that use no images.
-ENVIRONMENT_STATE = "observation.environment_state"
-ACTION = "action"
+ENVIRONMENT_STATE_KEY = "observation.environment_state"
+ACTION_KEY = "action"
 # Keys of real recordings: measured joint velocities, rad/s, and recorded frame times, s. Other programs ignore both,
 # because the names begin neither with `observation` nor with `action`.
-VELOCITIES = "joint_velocities"
-RECORDED_TIME = "recorded_time"
+VELOCITIES_KEY = "joint_velocities"
+RECORDED_TIME_KEY = "recorded_time"
 
-_BIMANUAL_PREFIX = "bi_"  # as in lerobot's own robot types
+_BIMANUAL_ROBOT_PREFIX = "bi_"  # as in lerobot's own robot types
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class SeriesFile:
         return self.number % CHUNK_FILES
 
     def path(self, pattern: str, **keys: str) -> str:
-        """Return the path in the dataset, from a pattern such as `DATA`."""
+        """Return the path in the dataset, from a pattern such as `DATA_FILE_PATTERN`."""
         return pattern.format(chunk_index=self.chunk_number, file_index=self.number_in_chunk, **keys)
 
 
@@ -144,7 +144,7 @@ def info_json(
     images = {image_key(camera): _video_feature(size, fps) for camera, size in cameras.items()}
     return {
         "codebase_version": VERSION,
-        "robot_type": robots[0] if len(robots) == 1 else _BIMANUAL_PREFIX + "_".join(dict.fromkeys(robots)),
+        "robot_type": robots[0] if len(robots) == 1 else _BIMANUAL_ROBOT_PREFIX + "_".join(dict.fromkeys(robots)),
         "total_episodes": episodes,
         "total_frames": frames,
         "total_tasks": tasks,
@@ -153,8 +153,8 @@ def info_json(
         "video_files_size_in_mb": VIDEO_FILE_MB,
         "fps": int(fps) if fps == int(fps) else fps,
         "splits": {"train": f"0:{episodes}"},
-        "data_path": DATA,
-        "video_path": VIDEO if cameras else None,
+        "data_path": DATA_FILE_PATTERN,
+        "video_path": VIDEO_FILE_PATTERN if cameras else None,
         "features": images | {key: feature.to_json_data() for key, feature in features.items()},
     }
 
@@ -189,7 +189,7 @@ class TableSeries(Closable):
     """Writes tables with the same columns to a series of Parquet files of up to `limit_mb`, MB. Closing completes the
     last.
 
-    `pattern` of the paths below `root`: such as `DATA`.
+    `pattern` of the paths below `root`: such as `DATA_FILE_PATTERN`.
     """
 
     def __init__(self, root: Path, pattern: str, limit_mb: float) -> None:
@@ -198,7 +198,7 @@ class TableSeries(Closable):
         self._place = SeriesFile(0)
         self._path = root
 
-    def next_place(self) -> SeriesFile:
+    def file_for_next_table(self) -> SeriesFile:
         """Return the file for the next table."""
         if self._writer is not None and self._path.stat().st_size >= self._limit:
             self.close()
@@ -209,7 +209,7 @@ class TableSeries(Closable):
         """Append a table."""
         import pyarrow.parquet
 
-        place = self.next_place()
+        place = self.file_for_next_table()
         if self._writer is None:
             self._path = self._root / place.path(self._pattern)
             self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -259,5 +259,5 @@ def write_tasks(root: Path, tasks: Sequence[str]) -> None:
     }
     table = pyarrow.table({"task_index": pyarrow.array(range(len(tasks)), pyarrow.int64()), "task": list(tasks)})
     table = table.replace_schema_metadata({"pandas": json.dumps(pandas)})
-    (root / TASKS).parent.mkdir(parents=True, exist_ok=True)
-    pyarrow.parquet.write_table(table, root / TASKS)
+    (root / TASKS_FILE).parent.mkdir(parents=True, exist_ok=True)
+    pyarrow.parquet.write_table(table, root / TASKS_FILE)

@@ -10,8 +10,8 @@ from ..core.images.image import Image
 
 # Source: lerobot 0.4.4 and 0.6.1, `compute_stats.DEFAULT_QUANTILES`.
 _QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
-_LEVELS = 256  # intensity levels of an 8-bit channel
-_STRIDE = 4  # pixels between counted rows and columns; means and quantiles hardly change
+_INTENSITY_LEVELS = 256  # intensity levels of an 8-bit channel
+_PIXEL_STRIDE = 4  # pixels between counted rows and columns; means and quantiles hardly change
 
 Stats = dict[str, Array]
 
@@ -30,20 +30,20 @@ class PixelCounts:
     """Histogram of each image channel's intensity levels, from which all statistics follow exactly."""
 
     def __init__(self) -> None:
-        self._counts = np.zeros((3, _LEVELS), np.int64)
+        self._counts = np.zeros((3, _INTENSITY_LEVELS), np.int64)
         self._images = 0
 
     def add(self, image: Image) -> None:
         """Add an RGB image (height, width, 3)."""
-        pixels = image[::_STRIDE, ::_STRIDE]
+        pixels = image[::_PIXEL_STRIDE, ::_PIXEL_STRIDE]
         for channel in range(3):
-            self._counts[channel] += np.bincount(pixels[..., channel].ravel(), minlength=_LEVELS)
+            self._counts[channel] += np.bincount(pixels[..., channel].ravel(), minlength=_INTENSITY_LEVELS)
         self._images += 1
 
     def stats(self) -> Stats:
         """Return statistics of the channels scaled to 0..1, each (3, 1, 1). `count` (1,) is the number of images."""
         total = self._counts.sum(1)
-        levels = np.arange(_LEVELS) / (_LEVELS - 1)
+        levels = np.arange(_INTENSITY_LEVELS) / (_INTENSITY_LEVELS - 1)
         mean = self._counts @ levels / total
         spread = np.sqrt(np.maximum(self._counts @ levels**2 / total - mean**2, 0.0))
         stats = {"min": self._quantile_level(0.0), "max": self._quantile_level(1.0), "mean": mean, "std": spread}
@@ -57,7 +57,7 @@ class PixelCounts:
         below = np.cumsum(self._counts, axis=1)
         enough = np.maximum(1, np.ceil(part * below[:, -1:]))
         found: NDArray[np.intp] = (below >= enough).argmax(axis=1)
-        return found / (_LEVELS - 1)
+        return found / (_INTENSITY_LEVELS - 1)
 
 
 class RunningStats:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import io
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,19 +18,16 @@ from ..core.dataset.reader import RecordedEpisode
 from ..core.errors import DatasetError, UsageError
 from ..core.files.resources import Locations
 from ..core.progress import Progress
-from ..core.workers.executors import Executor, InlineExecutor, RunnerFactory
-from ..core.workers.process_pool import ProcessPool
 from . import raiden_schema as schema
+from .episode_jobs import run_episode_jobs
 from .export_source import ActionSource, Frames, RealEpisode, RealSource, SimulatedSource, depth_cameras
 from .output_directory import ExportResult, export_directory
-from .raiden_episode import ConvertedEpisode, EpisodeConverter, copy_images
+from .raiden_episode import EpisodeConverter, copy_images
 from .raiden_frames import FrameConverter, calibration_json, camera_names, hand_frame
 from .raiden_schema import RaidenOptions
 
 _CONTROL_BY_SOURCE = {"record": "plan"}  # `source` of an episode -> `control` in metadata.json, where they differ
 _REAL_CONTROL = "unknown"  # `control` of real recordings, which do not state how the arm was controlled
-
-Job = tuple[Path, Path]  # episode directory, and output directory
 
 
 def export_raiden(
@@ -49,14 +46,19 @@ def export_raiden(
     0, or is omitted with `options.single`. Grippers are shares of the opening, 0 closed to 1 open, as the drive of the
     real arm reports them.
     """
-    converter = FrameConverter(source.rig, camera_names(source), locations, options.hand_frame, single=options.single)
+    converter = FrameConverter(
+        source.rig, camera_names(source), locations, options.hand_frame, single=options.as_single_arm
+    )
     config = _with_recorded_size(source) if options.renders_images else source.config
-    factory = functools.partial(EpisodeConverter, Session(config, locations), converter.names, options)
+    factory = functools.partial(
+        EpisodeConverter, Session(config, locations), converter.names, options, source.selection
+    )
     frames: dict[str, int] = {}
     with export_directory(out, overwrite=overwrite) as stage:
         episodes = {schema.episode_name(k): episode for k, episode in enumerate(source.open_episodes())}
         jobs = [(episode.directory, stage.path / name) for name, episode in episodes.items()]
-        for folder, made in _convert_all(factory, jobs, workers if options.renders_images else 0):
+        processes = min(workers, len(jobs)) if options.renders_images else 0
+        for (_, folder), made in run_episode_jobs(factory, jobs, processes):
             episode = episodes[folder.name]
             record = episode.record
             data = [converter.convert_simulated_step(frame) for frame in made.frames]
@@ -73,10 +75,10 @@ def export_raiden(
             _write_episode(folder, made.times, data, metadata)
             frames[folder.name] = len(data)
             if folder == jobs[0][1]:
-                _write_json(stage.path / schema.SHARED_METADATA, metadata)
-                _write_json(stage.path / schema.CALIBRATION, calibration_json(source, converter, options, data))
+                _write_json(stage.path / schema.SHARED_METADATA_FILE, metadata)
+                _write_json(stage.path / schema.CALIBRATION_FILE, calibration_json(source, converter, options, data))
             progress(len(frames), len(source))
-        _write_split(stage.path, frames)
+        _write_split_file(stage.path, frames)
     return ExportResult(out, len(frames), sum(frames.values()), stage.moved_aside)
 
 
@@ -88,22 +90,6 @@ def _with_recorded_size(source: SimulatedSource) -> RecordConfig:
         )
     image = source.config.image.model_copy(update={"size_px": sizes.pop()})
     return source.config.model_copy(update={"image": image})
-
-
-def _convert_all(
-    factory: RunnerFactory[Job, ConvertedEpisode], jobs: Sequence[Job], workers: int
-) -> Iterator[tuple[Path, ConvertedEpisode]]:
-    """Yield output folder and content of each complete episode. 0 `workers` means this process."""
-    executor: Executor[Job, ConvertedEpisode] = InlineExecutor(factory)
-    if workers:
-        executor = ProcessPool[Job, ConvertedEpisode](factory, min(workers, len(jobs)))
-    waiting = list(reversed(jobs))
-    with executor as pool:
-        for _ in jobs:
-            while pool.idle and waiting:
-                pool.submit(waiting.pop())
-            (_, folder), made = pool.next_result()
-            yield folder, made
 
 
 def export_real_raiden(
@@ -134,7 +120,7 @@ def export_real_raiden(
             f"{source.path} has no pictures, which raiden's layout needs for its times: export it as lerobot"
         )
     names = {camera: camera for camera in source.camera_sizes}
-    single = options.single or len(source.rig.recording_order) == 1
+    single = options.as_single_arm or len(source.rig.recording_order) == 1
     converter = FrameConverter(source.rig, names, locations, options.hand_frame, single=single)
     frames: dict[str, int] = {}
     notes: list[str] = []
@@ -143,24 +129,26 @@ def export_real_raiden(
             folder = stage.path / schema.episode_name(number)
             recorded = episode.frames()
             data = _convert_episode(source, converter, episode, recorded, actions)
-            copy_images(RecordedEpisode(episode.directory, episode.record), folder, names, episode.chosen, options)
+            copy_images(
+                RecordedEpisode(episode.directory, episode.record), folder, names, episode.frame_numbers, options
+            )
             times = [
                 k * source.period if source.is_resampled else frame["timestamp"] for k, frame in enumerate(recorded)
             ]
             pictures: dict[str, Any] = {"source": "recorded"}
             if source.is_resampled:
-                pictures = schema.nearest_pictures(episode.chosen, source.first.record.frame_period_s)
+                pictures = schema.nearest_pictures(episode.frame_numbers, source.first.record.frame_period_s)
             metadata = _metadata(
                 episode, names, data, options, framerate=1 / source.period, control=_REAL_CONTROL, pictures=pictures
             )
             _write_episode(folder, times, data, metadata)
             if number == 0:
-                _write_json(stage.path / schema.SHARED_METADATA, metadata)
+                _write_json(stage.path / schema.SHARED_METADATA_FILE, metadata)
             if (note := source.describe_uneven_times(episode, recorded)) is not None:
                 notes.append(note)
             frames[folder.name] = len(data)
             progress(number + 1, len(source))
-        _write_split(stage.path, frames)
+        _write_split_file(stage.path, frames)
     return ExportResult(out, len(frames), sum(frames.values()), stage.moved_aside, tuple(notes))
 
 
@@ -228,12 +216,12 @@ def _write_episode(folder: Path, times: Sequence[float], data: Frames, metadata:
     (folder / "lowdim").mkdir(parents=True)
     for k, frame in enumerate(data):
         (folder / "lowdim" / schema.frame_name(k, "pkl")).write_bytes(dump_frame(frame))
-    _write_json(folder / schema.METADATA, metadata)
+    _write_json(folder / schema.METADATA_FILE, metadata)
 
 
-def _write_split(root: Path, frames: Mapping[str, int]) -> None:
+def _write_split_file(root: Path, frames: Mapping[str, int]) -> None:
     size = {"n_seqs": len(frames), "n_samples": len(frames), "n_frames": sum(frames.values())}
-    _write_json(root / schema.SPLIT, {"filters": {}, "size": size, "files": dict(sorted(frames.items()))})
+    _write_json(root / schema.SPLIT_FILE, {"filters": {}, "size": size, "files": dict(sorted(frames.items()))})
 
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:

@@ -22,6 +22,7 @@ from ..core.errors import DatasetError, PartialJobError
 from ..core.images.image import Image
 from ..core.images.jpeg import decode_jpeg, encode_jpeg
 from ..core.images.png import encode_png
+from ..selection import AppliedSelection
 from . import raiden_schema as schema
 from .export_source import depth_cameras
 from .raiden_schema import RaidenOptions
@@ -47,10 +48,18 @@ class EpisodeConverter(Closable):
     Args:
         session: of the dataset's config, with the size of rendered images. Only rendering needs its meshes.
         names: camera -> its name in raiden's layout.
+        selection: decisions of a person, which cut off frames.
     """
 
-    def __init__(self, session: Session, names: Mapping[str, str], options: RaidenOptions) -> None:
+    def __init__(
+        self,
+        session: Session,
+        names: Mapping[str, str],
+        options: RaidenOptions,
+        selection: AppliedSelection | None = None,
+    ) -> None:
         self._names = names
+        self._selection = selection
         self._options = options
         self._quality = session.config.image.jpeg_quality
         self._truth = session.config.truth
@@ -65,16 +74,18 @@ class EpisodeConverter(Closable):
             raise PartialJobError(f"{explain_disk_error(error, folder)}: nothing was exported") from error
 
     def _convert_episode(self, episode: StoredEpisode, folder: Path) -> ConvertedEpisode:
-        frames = episode.frames()
+        shown = self._selection.trim(episode) if self._selection else episode
+        first, count = shown.first_frame, shown.record.frames
         if self._simulators is None or self._options.fps is None:
-            self._copy(episode, folder, range(len(frames)))
+            frames = shown.frames()
+            self._copy(episode, folder, range(first, first + count))
             return ConvertedEpisode([frame["timestamp"] for frame in frames], frames, {"source": "recorded"})
         simulator = self._simulators.get(AttemptJob(episode.record.seed, episode.record.attempt))
-        made = resample_episode(simulator, episode, self._options.fps)
+        made = resample_episode(simulator, episode, self._options.fps, first, count)
         if self._options.renders_images:
-            self._render(simulator, episode, folder, made)
+            self._render(simulator, shown, folder, made)
             return ConvertedEpisode(made.times.tolist(), made.frames, {"source": "drawn"})
-        nearest = nearest_frames(made.times, len(frames), episode.record.frame_period_s)
+        nearest = nearest_frames(made.times, first + count, episode.record.frame_period_s)
         self._copy(episode, folder, nearest)
         pictures = schema.nearest_pictures(nearest, episode.record.frame_period_s)
         return ConvertedEpisode(made.times.tolist(), made.frames, pictures)

@@ -27,12 +27,12 @@ from . import raiden_schema as schema
 from .export_source import Frames, SimulatedSource
 from .raiden_schema import HandFrameName, RaidenOptions
 
-_SIDES = ("left", "right")  # in the order of raiden's arrays
-# In the order of `_SIDES`; a single arm is the left one.
+_ARM_SIDES = ("left", "right")  # in the order of raiden's arrays
+# In the order of `_ARM_SIDES`; a single arm is the left one.
 _WRIST_CAMERAS = ("left_wrist_camera", "right_wrist_camera")
 
 _KINEMATICS_FILES = {"i2rt": "raiden_kinematics.xml"}  # hand frame -> MJCF file with its kinematics
-_DESCRIPTIONS = {
+_HAND_FRAME_DESCRIPTIONS = {
     "yamsim": "site grasp_site of the simulated arm: where the pictures show the hand",
     "i2rt": "site grasp_site of i2rt 7b6d501, yam with linear_4310: what raiden's kinematics make of the joints",
 }
@@ -46,7 +46,7 @@ _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 def hand_frame(name: HandFrameName) -> dict[str, str]:
     """Return the entry of metadata.json on a hand frame."""
-    return {"name": name, "description": _DESCRIPTIONS[name]}
+    return {"name": name, "description": _HAND_FRAME_DESCRIPTIONS[name]}
 
 
 def camera_names(source: SimulatedSource) -> dict[str, str]:
@@ -86,7 +86,7 @@ class _ArmConverter:
             self._kinematics = ArmKinematics(kinematic_model(arm))
         self._opening = robot.fingers.range[1]
 
-    def with_share(self, joints: ArrayLike) -> Array:
+    def joints_with_gripper_share(self, joints: ArrayLike) -> Array:
         """Return six joints in rad, and the gripper as a share of its opening, clipped to 0..1, (7,)."""
         values = np.array(joints, dtype=np.float64)
         values[schema.JOINTS] = np.clip(values[schema.JOINTS] / self._opening, 0.0, 1.0)
@@ -123,9 +123,13 @@ class FrameConverter:
 
     def convert_simulated_step(self, frame: Mapping[str, Any]) -> dict[str, Any]:
         """Convert a simulated frame to raiden's layout."""
-        data = self.convert_frame(frame, self._with_shares(frame["joints"]), self._with_shares(frame["action_joints"]))
+        data = self.convert_frame(
+            frame,
+            self._joints_with_gripper_shares(frame["joints"]),
+            self._joints_with_gripper_shares(frame["action_joints"]),
+        )
         if RIGHT_IN_LEFT_BASE_KEY in frame:
-            data[schema.BETWEEN_ARMS] = np.asarray(frame[RIGHT_IN_LEFT_BASE_KEY], dtype=np.float32)
+            data[schema.RIGHT_BASE_POSE_KEY] = np.asarray(frame[RIGHT_IN_LEFT_BASE_KEY], dtype=np.float32)
         return data
 
     def convert_frame(
@@ -153,12 +157,12 @@ class FrameConverter:
         """Return the hand pose (4, 4) of an arm in its own base, from the joints of a converted frame."""
         return self._arms[arm].T_hand_in_base(np.asarray(joints)[schema.ARM_VALUES * arm :])
 
-    def _with_shares(self, joints: ArrayLike) -> list[Array]:
+    def _joints_with_gripper_shares(self, joints: ArrayLike) -> list[Array]:
         """Convert recorded joints, (7,) or (14,), to (7,) of each arm. A missing arm is zero."""
         rows = np.zeros((len(self._arms), schema.ARM_VALUES))
         recorded = np.reshape(joints, (-1, schema.ARM_VALUES))
         rows[: len(recorded)] = recorded
-        return [arm.with_share(row) for arm, row in zip(self._arms, rows, strict=True)]
+        return [arm.joints_with_gripper_share(row) for arm, row in zip(self._arms, rows, strict=True)]
 
     def _hand_values(self, joints: Sequence[Array]) -> list[Array]:
         return [arm.hand_values(row) for arm, row in zip(self._arms, joints, strict=True)]
@@ -176,7 +180,7 @@ def calibration_json(
     The position of a wrist camera is the mean over the converted `frames`. With kinematics other than the simulated
     arm's, the hand-eye pose differs slightly between frames.
     """
-    T = frames[0].get(schema.BETWEEN_ARMS)
+    T = frames[0].get(schema.RIGHT_BASE_POSE_KEY)
     T_right_base_in_left_base = None if T is None else np.asarray(T, np.float64)
     wrists = _wrist_arms(source)
     cameras: dict[str, Any] = {}
@@ -197,7 +201,7 @@ def calibration_json(
         else:
             extrinsics = _transform_json(np.asarray(frames[0]["extrinsics"][name], np.float64))
             extrinsics["reference_frame"] = "left_arm_base"
-            cameras[name] = {"type": "scene", **entry, "arm": _SIDES[0], "extrinsics": extrinsics}
+            cameras[name] = {"type": "scene", **entry, "arm": _ARM_SIDES[0], "extrinsics": extrinsics}
     found = {
         "version": "1.0",
         "timestamp": _ZERO_TIME,
@@ -239,9 +243,9 @@ def _wrist_camera(
     return {
         "type": "hand_eye",
         **entry,
-        "arm": _SIDES[arm],
+        "arm": _ARM_SIDES[arm],
         "hand_eye_calibration": {**hand_eye, "method": "sim", "upside_down": upside_down},
-        "extrinsics": {**_transform_json(T), "reference_frame": f"{_SIDES[arm]}_grasp_site"},
+        "extrinsics": {**_transform_json(T), "reference_frame": f"{_ARM_SIDES[arm]}_grasp_site"},
     }
 
 

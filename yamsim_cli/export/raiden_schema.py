@@ -20,17 +20,17 @@ FPS = 30.0  # that raiden's commands `rd replay` and `rd shardify` assume
 JOINTS = 6  # joints per arm in the layout
 ARM_VALUES = JOINTS + 1  # values per arm: joints and gripper
 
-BETWEEN_ARMS = "T_left_from_right"  # key of the pose of the right base in the left base
+RIGHT_BASE_POSE_KEY = "T_left_from_right"  # key of the pose of the right base in the left base
 
 TIMESTAMP_DTYPE = "int64"  # dtype of capture times, ns
 DEPTH_DTYPE = "uint16"  # dtype of depth images, mm
 DEPTH_KEY = "depth"  # array name in a depth `.npz`
 
 # Files of the dataset, of an episode, and of an episode's camera.
-SHARED_METADATA = "metadata_shared.json"
-SPLIT = "split_all.json"
-CALIBRATION = "calibration_results.json"
-METADATA = "metadata.json"
+SHARED_METADATA_FILE = "metadata_shared.json"
+SPLIT_FILE = "split_all.json"
+CALIBRATION_FILE = "calibration_results.json"
+METADATA_FILE = "metadata.json"
 TIMESTAMPS_FILE = "timestamps.npy"
 
 
@@ -47,7 +47,7 @@ class RaidenOptions:
     fps: float | None = FPS
     pictures: PictureSource = "draw"
     images: ImageFormat = "png"
-    single: bool = False
+    as_single_arm: bool = False
     hand_frame: HandFrameName = "yamsim"
 
     @property
@@ -67,5 +67,10 @@ def frame_name(frame: int, extension: str) -> str:
 
 
 def nearest_pictures(frames: Sequence[int], period: float) -> dict[str, Any]:
-    """Return the entry of metadata.json on images of the recorded `frames`, `period` s apart."""
+    """Return metadata.json's entry for images that are copied from the nearest recorded frames.
+
+    Args:
+        frames: for each exported frame, the number of the recorded frame whose image it has.
+        period: time between recorded frames, s.
+    """
     return {"source": "nearest", "recorded_frames": list(frames), "recorded_period_s": period}

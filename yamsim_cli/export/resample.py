@@ -54,8 +54,13 @@ def nearest_frames(times: Array, frames: int, period: float) -> list[int]:
     return [min(round(time / period), frames - 1) for time in times]
 
 
-def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -> ResampledEpisode:
+def resample_episode(
+    simulator: Simulator, episode: StoredEpisode, fps: float, first: int = 0, count: int | None = None
+) -> ResampledEpisode:
     """Resample an episode to `fps` frames per second. States are simulated, not interpolated.
+
+    Only the time of `count` recorded frames, by default all, from frame `first` on is resampled. The whole episode is
+    simulated nevertheless, because the recorded state of a later frame has no velocities.
 
     `action_joints`, the planned joints one control tick ahead, was recorded once per frame. Between frames, it is the
     simulated joints plus the interpolated difference between plan and simulation. The finger opening is interpolated.
@@ -71,7 +76,7 @@ def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -
     start, actions = found
     period = record.frame_period_s
     tick = period / len(recorded[0]["sim_ctrl"])
-    times = frame_times(len(recorded), period, fps)
+    times = first * period + frame_times(len(recorded) if count is None else count, period, fps)
     stored = np.arange(float(len(recorded))) * period
     # One tick after a frame is the target time of its command.
     moments, places = np.unique(
@@ -81,7 +86,7 @@ def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -
     attempt = attempt_from_record(record, start)
     simulate_actions(simulator, attempt, actions, REPLAY_RULES, on_step=seen)
     here, ahead, then, commanded = np.split(seen.qpos[places], np.cumsum([len(times), len(times), len(stored)]))
-    _require_same(episode, recorded, then)
+    _require_reproduced_states(episode, recorded, then)
     planned = np.array([planned_joints(frame, len(scene.arms)) for frame in recorded])
     lead = planned - _joints_of_arms(scene, commanded)
     reference = _joints_of_arms(scene, ahead) + _interpolate(times, stored, lead)
@@ -111,7 +116,7 @@ def _interpolate(times: Array, nodes: Array, values: Array) -> Array:
     return found.reshape(len(times), *values.shape[1:])
 
 
-def _require_same(episode: StoredEpisode, recorded: Sequence[Mapping[str, Any]], found: Array) -> None:
+def _require_reproduced_states(episode: StoredEpisode, recorded: Sequence[Mapping[str, Any]], found: Array) -> None:
     deviation = np.abs(found - np.array([frame["sim_qpos"] for frame in recorded])).max(axis=1)
     if np.nanmax(deviation, initial=0.0) > _MAX_DEVIATION or np.isnan(deviation).any():
         k = int(np.argmax(~(deviation <= _MAX_DEVIATION)))

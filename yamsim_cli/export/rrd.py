@@ -58,7 +58,9 @@ def _write(path: Path, source: ExportSource, episode: RecordedEpisode) -> int:
             picture = rerun.EncodedImage(contents=episode.image(camera, k), media_type="image/jpeg")
             stream.log(f"{place}/rgb", picture)
             if camera in with_depth:
-                with np.load(io.BytesIO(episode.read_verified(depth_path(camera, k))), allow_pickle=False) as archive:
+                with np.load(
+                    io.BytesIO(episode.read_verified(depth_path(camera, episode.first_frame + k))), allow_pickle=False
+                ) as archive:
                     stream.log(f"{place}/depth", rerun.DepthImage(archive["depth"], meter=1000.0))
         for hand, T in _hand_poses(source, frame).items():
             stream.log(f"base/{hand}", _rerun_transform(T))

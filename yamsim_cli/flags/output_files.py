@@ -18,26 +18,32 @@ from yamsim_cli.core.files.writing import nearest_directory, write_output
 from yamsim_cli.terminal.console import print_note
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+    from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 
 MIN_FREE_BYTES = 1 << 16  # no command starts with less; reports and pictures are larger
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
-Rename = Annotated[bool, typer.Option("--overwrite", help="Rename an existing output.")]
+RenameExisting = Annotated[bool, typer.Option("--overwrite", help="Rename an existing output.")]
 VideoTrials = Annotated[int, typer.Option(min=1, metavar="N", help="With --video: most trials to film.")]
 ReportFile = Annotated[Path | None, typer.Option(help="Also write the JSON to this file.")]
 
 
-def open_mode(*, resume: bool, overwrite: bool) -> OpenMode:
+def open_mode(*, resume: bool, overwrite: bool) -> ExistingDatasetMode:
     """Return whether to create, resume or replace the output dataset."""
-    from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+    from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 
     if resume and overwrite:
         raise UsageError("--resume and --overwrite exclude each other; give one of them")
-    return OpenMode.RESUME if resume else OpenMode.OVERWRITE if overwrite else OpenMode.NEW
+    return (
+        ExistingDatasetMode.RESUME
+        if resume
+        else ExistingDatasetMode.OVERWRITE
+        if overwrite
+        else ExistingDatasetMode.NEW
+    )
 
 
-def require_unused(flag: str, files: Path | Iterable[Path], *, overwrite: bool) -> None:
+def require_unused_paths(flag: str, files: Path | Iterable[Path], *, overwrite: bool) -> None:
     """Refuse output files that exist or cannot be written. The folder of a single file has to exist."""
     one = isinstance(files, Path)
     for file in [files] if isinstance(files, Path) else files:
@@ -55,7 +61,7 @@ def require_unused_reports(out: Path | None, html: Path | None, *, overwrite: bo
     """Refuse files of --out and --html that exist or cannot be written."""
     for flag, file in (("--out", out), ("--html", html)):
         if file is not None:
-            require_unused(flag, file, overwrite=overwrite)
+            require_unused_paths(flag, file, overwrite=overwrite)
 
 
 def write_json_report(report: Mapping[str, Any], out: Path | None) -> None:

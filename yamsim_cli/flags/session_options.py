@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -39,6 +40,15 @@ ConfigOption = Annotated[
 Cameras = Annotated[
     list[str] | None,
     typer.Option("--camera", metavar="NAME", help="A camera to record; may be repeated."),
+]
+CameraEffects = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--camera-effects",
+        metavar="[CAMERA=]NAME|FILE",
+        help="Lens, noise and shutter of a camera, or of all: a name from configs/camera_effects/ or a YAML file. May "
+        "be repeated.",
+    ),
 ]
 Task = Annotated[str | None, typer.Option(help="Task: a name from configs/tasks/ or a YAML file.")]
 Object = Annotated[
@@ -82,6 +92,14 @@ Randomization = Annotated[
     ),
 ]
 Size = Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pixels.")]
+Boards = Annotated[bool | None, typer.Option("--boards/--no-boards", help="Also show the base boards.")]
+Stage = Annotated[
+    Path | None,
+    typer.Option(help="A local directory where episodes are written before they are moved to a slow --out."),
+]
+AttemptTimeout = Annotated[
+    float, typer.Option(min=1, help="Seconds after which a worker counts as hung and is replaced.")
+]
 Quality = Annotated[
     str | None, typer.Option(help="fast, balanced, high, auto (GPU or not), or a YAML file.  [default: auto]")
 ]
@@ -98,24 +116,29 @@ def _flag_name(setting: str) -> str:
 
 
 # Opens the sessions of all commands. Its error messages name flags, and its notes go to stderr.
-opener = SessionOpener(os.environ, print_note, _flag_name, import_if_file, resolve_scene_task, fetch_bar, note_at_end)
+session_opener = SessionOpener(
+    os.environ, print_note, _flag_name, import_if_file, resolve_scene_task, fetch_bar, note_at_end
+)
 
 
 # Session settings that a command may have as parameters; `SessionOpener.load_record_config` explains them.
-_SETTINGS = (
+_SESSION_SETTING_NAMES = (
     "rig", "revision", "robot", "task", "target", "n", "workers", "seed", "grasp", "arm", "wrist", "camera", "boards",
     "truth", "size", "jpeg_quality", "action", "fps", "quality", "threshold", "randomize", "randomization",
+    "camera_effects",
 )  # fmt: skip
 
 
 def session_settings(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return the session settings among a command's parameters; `item` becomes `object`."""
-    return {"object": parameters["item"]} | {name: parameters[name] for name in _SETTINGS if name in parameters}
+    return {"object": parameters["item"]} | {
+        name: parameters[name] for name in _SESSION_SETTING_NAMES if name in parameters
+    }
 
 
 def _set_offline(wanted: bool) -> bool:
     if wanted:
-        opener.stay_offline()
+        session_opener.stay_offline()
     return wanted
 
 

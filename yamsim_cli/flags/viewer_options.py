@@ -11,14 +11,14 @@ import typer
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.terminal.console import print_note
 
-from .session_options import opener
+from .session_options import session_opener
 
 if TYPE_CHECKING:
     from yamsim_cli.viewers.page_address import PageAddress
 
 _DEFAULT_PORT = 8090  # TCP port of the browser page
 
-Web = Annotated[
+WebOrNative = Annotated[
     bool | None, typer.Option("--web/--native", help="A browser page, or MuJoCo's own window on this display.")
 ]
 Port = Annotated[
@@ -66,7 +66,7 @@ def prepare_viewer(page: PageAddress | None) -> None:
     if page is None:
         os.environ["MUJOCO_GL"] = "glfw"
         return
-    opener.skip_gl()
+    session_opener.disable_gl()
     silence_viser()
 
 

@@ -63,7 +63,7 @@ def photos_in_parts(gaps: Sequence[MotionGap], camera: str | None) -> tuple[str,
     for gap in gaps:
         known = np.logical_and.reduce([np.isfinite(arm.joints).all(axis=1) for arm in gap.motion.arms])
         for frame, sample in enumerate(np.flatnonzero(known).tolist()):
-            if gap.name in folders and gap.compared[sample]:
+            if gap.name in folders and gap.is_compared[sample]:
                 path = folders[gap.name] / image_path(camera, frame)
                 if path.is_file():
                     taken.append(RecordedPhoto(gap, frame, sample, path))
@@ -125,7 +125,7 @@ def make_photo(recorded: RecordedPhoto, camera: str, rig: RigConfig, image: Imag
     )
 
 
-_SHOWN_PHOTOS = 2  # with the largest errors
+_MAX_SHOWN_PHOTOS = 2  # with the largest errors
 _OPACITY = 0.4  # of the simulated arms over a photo, 0..1
 _JPEG_QUALITY = 85  # 0..100
 
@@ -149,14 +149,14 @@ class PhotoGap:
     """Comparison of the simulated arms with a photo.
 
     Attributes:
-        outline: median distance of the simulated outline to the photo's edges, px; None if no arm is visible.
-        measured_outline: the same for arms rendered at the measured joints: the distance if simulation were exact.
+        outline_distance: median distance of the simulated outline to the photo's edges, px; None if no arm is visible.
+        measured_outline_distance: the same for arms at the measured joints: the distance if simulation were exact.
         iou: intersection over union of the arms' masks at simulated and at measured joints, 0..1.
     """
 
     recorded: RecordedPhoto
-    outline: float | None
-    measured_outline: float | None
+    outline_distance: float | None
+    measured_outline_distance: float | None
     iou: float
     picture: Image
 
@@ -181,7 +181,7 @@ def compare_photos(
             progress(k, len(chosen))
             if compared := _compare_photo(one, camera, rig, lenses, renderers):
                 figures.append(compared)
-                found = sorted([*found, compared], key=_error_rank, reverse=True)[:_SHOWN_PHOTOS]
+                found = sorted([*found, compared], key=_error_rank, reverse=True)[:_MAX_SHOWN_PHOTOS]
         progress(len(chosen), len(chosen))
     if not figures:
         raise ResourceError(
@@ -203,9 +203,12 @@ def _compare_photo(
         return None
     renderer = renderers.renderer_for(lens.camera)
     renderer.set_poses(result.base_poses, postures_at(recorded.gap.motion, recorded.sample, rig))
-    measured, measured_mask = score_outlines(result, renderer, grey), renderer.flat_labels() > 0
+    measured, measured_mask = score_outlines(result, renderer, grey), renderer.undistorted_label_image() > 0
     renderer.set_poses(result.base_poses, postures_at(recorded.gap.simulated, recorded.sample, rig))
-    simulated, iou = score_outlines(result, renderer, grey), mask_iou(renderer.flat_labels() > 0, measured_mask)
+    simulated, iou = (
+        score_outlines(result, renderer, grey),
+        mask_iou(renderer.undistorted_label_image() > 0, measured_mask),
+    )
     arms = renderer.render()
     picture = blend_arms(image, arms.colour, arms.labels, _OPACITY)
     lines = [f"simulated, {recorded.gap.motion.times[recorded.sample]:.2f} s, frame {recorded.frame}"]
@@ -216,7 +219,7 @@ def _compare_photo(
 
 
 def _error_rank(found: PhotoGap) -> tuple[float, float]:
-    return -1.0 if found.outline is None else found.outline, 1 - found.iou
+    return -1.0 if found.outline_distance is None else found.outline_distance, 1 - found.iou
 
 
 def _camera_report(camera: str, figures: Sequence[PhotoGap], without: int) -> dict[str, Any]:
@@ -225,16 +228,16 @@ def _camera_report(camera: str, figures: Sequence[PhotoGap], without: int) -> di
         "camera": camera,
         "photos": len(figures),
         "without_pose": without,
-        "outline_px": _mean_and_worst([one.outline for one in figures], max),
-        "measured_outline_px": _mean_and_worst([one.measured_outline for one in figures], max),
+        "outline_px": _mean_and_worst([one.outline_distance for one in figures], max),
+        "measured_outline_px": _mean_and_worst([one.measured_outline_distance for one in figures], max),
         "iou": _mean_and_worst([one.iou for one in figures], min),
         "worst": _photo_reference(worst),
         "frames": [
             {
                 **_photo_reference(one),
                 "image": str(one.recorded.path),
-                "outline_px": one.outline,
-                "measured_outline_px": one.measured_outline,
+                "outline_px": one.outline_distance,
+                "measured_outline_px": one.measured_outline_distance,
                 "iou": one.iou,
             }
             for one in figures
@@ -255,7 +258,11 @@ def _mean_and_worst(values: Sequence[float | None], worst: Any) -> dict[str, flo
 
 def _captioned_photo(found: PhotoGap) -> CaptionedJpeg:
     place = _photo_reference(found)
-    outline = "no arm in sight" if found.outline is None else f"outline {found.outline:.1f} px from the photo's edges"
+    outline = (
+        "no arm in sight"
+        if found.outline_distance is None
+        else f"outline {found.outline_distance:.1f} px from the photo's edges"
+    )
     caption = (
         f"Frame {place['frame']} of {place['recording']} at {place['time_s']:.2f} s: the simulated arm over the photo; "
         f"{outline}, overlap {found.iou:.3f}."

@@ -42,7 +42,7 @@ _COURGETTE_WIDTH = 55.0  # mm, of long produce; fingers could not hold a tomato 
 _COURGETTE_BODY = {"stuff": "fruit", "rgba": [0.24, 0.42, 0.16, 1], "specular": 0.3, "shininess": 0.4}
 
 _RIM_GRASP_DEPTH = 0.012  # m below a cup's rim, of the grasp for nesting the cup
-_NO_SLOT_LENGTH = 40.0  # mm of a rack's length without slots
+_RACK_LENGTH_WITHOUT_SLOTS = 40.0  # mm of a rack's length without slots
 _SCALED_KEYS = (
     "diameter_mm",
     "height_mm",
@@ -56,7 +56,7 @@ _SCALED_KEYS = (
 )  # all sizes except the walls
 
 #: The kind of KitchenBench's goals in which cloth is folded.
-FOLD = "fold"
+FOLD_GOAL_KIND = "fold"
 #: Asset -> sheet config of the asset's nominal size.
 CLOTH_CONFIGS = {"napkin": "soft_napkin", "cloth": "soft_cloth", "dish_towel": "soft_dish_towel"}
 #: The condition of a scene that says how much its cloth is crumpled.
@@ -67,10 +67,12 @@ _CRUMPLE_SHARES = {
 }  # level -> height and distance of the pull, as shares of half the length
 
 _CLOTH_MARGIN = 0.05  # m, border of the table around flat cloth
-_REFINEMENT = 2  # cells of crumpled cloth per cell of flat cloth, along a side: larger cells stand up in tents
+_CRUMPLED_GRID_REFINEMENT = (
+    2  # cells of crumpled cloth per cell of flat cloth, along a side: larger cells stand up in tents
+)
 # Points along the side of a towel that is folded in thirds: three cells, four and four. A sheet bends only along lines
 # of points, and the inner third has to be the shorter one.
-_THIRDS_POINTS = 12
+_FOLD_IN_THIRDS_POINTS = 12
 
 
 def object_config_of(
@@ -165,7 +167,7 @@ def _scaled_shape(item: SceneObject, shape: dict[str, Any], conditions: Mapping[
     """Return a shape's data in the size that a scene requires; for tools, the size is the length."""
     if item.asset == "dish_rack" and "slot_width_cm" in conditions:
         slot = 10.0 * float(conditions["slot_width_cm"])
-        return {**shape, "slot_mm": slot, "slots": int((shape["size_mm"][0] - _NO_SLOT_LENGTH) // slot)}
+        return {**shape, "slot_mm": slot, "slots": int((shape["size_mm"][0] - _RACK_LENGTH_WITHOUT_SLOTS) // slot)}
     if item.size_cm is None:
         return shape
     size, nominal = 10.0 * item.size_cm, ASSETS[item.asset]
@@ -200,9 +202,9 @@ def cloth_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
     factor = (item.size_cm or nominal) / nominal
     grown: dict[str, Any] = {"size_mm": [side * factor for side in base.size_mm], "mass_g": base.mass_g * factor**2}
     if CRUMPLE_CONDITION in blueprint.conditions:
-        grown |= {"grid": [_REFINEMENT * (count - 1) + 1 for count in base.grid], "solver": "cg"}
+        grown |= {"grid": [_CRUMPLED_GRID_REFINEMENT * (count - 1) + 1 for count in base.grid], "solver": "cg"}
     if is_folded_in_thirds(blueprint, item):
-        grown["grid"] = [base.grid[0], _THIRDS_POINTS]
+        grown["grid"] = [base.grid[0], _FOLD_IN_THIRDS_POINTS]
     cloth = Cloth.model_validate({**base.model_dump(mode="json"), **grown})
     data = {"name": item.name, "cloth": cloth.model_dump(mode="json")}
     return ObjectConfig.model_validate({**data, **object_keys_from_cloth(data)})

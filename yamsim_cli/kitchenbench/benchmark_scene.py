@@ -15,7 +15,7 @@ from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
 from ..core.attempt_data import ObjectLayout
 from ..core.config.goals.role_assignment import RoleAssignment
 from ..core.config.objects.object_config import ObjectConfig
-from ..core.config.program_task import PROGRAM, ProgramTask
+from ..core.config.program_task import PROGRAM_KIND, ProgramTask
 from ..core.config.recording import RecordConfig
 from ..core.config.scene import Table
 from ..core.config.session import Session
@@ -32,7 +32,7 @@ from .asset_configs import (
     CLOTH_CONFIGS,
     COMPARTMENT,
     CRUMPLE_CONDITION,
-    FOLD,
+    FOLD_GOAL_KIND,
     cloth_config_of,
     container_config_of,
     crumpled_start,
@@ -46,7 +46,7 @@ STATION_RIG = "yam_station_linear_4310_d405"  # name of the rig's config
 TICK_HZ = 30  # Hz, control ticks
 
 #: Kinds of KitchenBench's goals whose scenes can be built.
-GOAL_KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD, OPEN, SEAL})
+GOAL_KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD_GOAL_KIND, OPEN, SEAL})
 _HANDED_OVER = "handoff"  # a cup is not put into another object
 
 _PLACEHOLDER_TASK = "tower"  # replaced by a scene of KitchenBench
@@ -56,7 +56,7 @@ _TABLE_MARGIN = 0.10  # m, from objects to the edge of a widened table
 _DROP_HEIGHT = 0.5  # m over the table, where the search for the resting height starts
 _SPARE_HEIGHT = 2.0  # m, between objects that wait above the table
 _SPAWN_GAP = 0.001  # m, between a placed object and its support
-_TRAY_FLOOR = 0.005  # m, of the tray's compartments
+_TRAY_FLOOR_THICKNESS = 0.005  # m, of the tray's compartments
 _MAX_OFFSET_MM = 5.0  # mm; an object that rests farther from its required place is reported in `unrealized`
 
 # Conditions of a blueprint that depend on how a policy acts, and conditions that built scenes fulfil.
@@ -72,8 +72,8 @@ _POLICY_CONDITIONS = frozenset(
 )
 _REALIZED_CONDITIONS = frozenset({"slot_width_cm", CRUMPLE_CONDITION})
 
-_LOG = logging.getLogger("yamsim")
-_SESSION_OPENER = SessionOpener(os.environ, _LOG.warning, "{}=".format)
+_LOGGER = logging.getLogger("yamsim")
+_SESSION_OPENER = SessionOpener(os.environ, _LOGGER.warning, "{}=".format)
 
 
 def open_station_session(size: str, *, images: bool, quality: str = "fast", task: str = _PLACEHOLDER_TASK) -> Session:
@@ -168,7 +168,7 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
 
 
 def _config_of(item: SceneObject, blueprint: SceneBlueprint, base: Session) -> ObjectConfig:
-    if item.asset in CLOTH_CONFIGS or blueprint.target_kind == FOLD:
+    if item.asset in CLOTH_CONFIGS or blueprint.target_kind == FOLD_GOAL_KIND:
         return cloth_config_of(item, blueprint, base.locations)
     if blueprint.target_kind in (OPEN, SEAL):
         return container_config_of(item, blueprint, base.locations)
@@ -192,7 +192,7 @@ def _make_task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping
     return ProgramTask.model_validate(
         {
             "name": blueprint.scene_id.replace("-", "_"),
-            "kind": PROGRAM,
+            "kind": PROGRAM_KIND,
             "rig": config.rig.name,
             "things": {name: {"of": (item,)} for name, item in objects.items()},
             "starts": dict.fromkeys(objects, place),
@@ -210,7 +210,7 @@ def table_for_scene(config: RecordConfig, blueprint: SceneBlueprint) -> Table:
     things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
     table = config.scene.table
     assert table is not None  # checked when the config was loaded
-    if blueprint.target_kind == FOLD:
+    if blueprint.target_kind == FOLD_GOAL_KIND:
         for item in things:
             table = table_for_sheet(table, item, origin_in_world(blueprint))
         return table
@@ -234,7 +234,7 @@ def _container_regions(blueprint: SceneBlueprint) -> dict[str, ContainerRegion]:
             assert item.parent is not None, "a compartment is part of a tray"
             asset = ASSETS[item.asset]
             size = np.array([asset.footprint_w_cm, asset.footprint_h_cm, asset.height_cm]) / 100
-            T = pose((item.x_cm / 100, item.y_cm / 100, _TRAY_FLOOR), rotation_z(math.radians(item.yaw_deg)))
+            T = pose((item.x_cm / 100, item.y_cm / 100, _TRAY_FLOOR_THICKNESS), rotation_z(math.radians(item.yaw_deg)))
             found[item.name] = ContainerRegion(item.parent, T, size)
     return found
 

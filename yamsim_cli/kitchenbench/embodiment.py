@@ -42,9 +42,10 @@ ACTION_LABELS = tuple(
     f"{side}_{part}" for side in ("left", "right") for part in (*(f"j{k}" for k in range(ARM_JOINTS)), "gripper")
 )
 
-_LOG = logging.getLogger("yamsim")
+_LOGGER = logging.getLogger("yamsim")
 
-_NOTES = """Two arms of six joints, 0.61 m apart, in front of a table. An action is 14 absolute targets: six joints of
+_EMBODIMENT_DESCRIPTION = """\
+Two arms of six joints, 0.61 m apart, in front of a table. An action is 14 absolute targets: six joints of
 the left arm (rad), its gripper (0 closed and pressing .. 1 open), then the same of the right arm. During an action,
 the references move linearly from the last targets to the new ones, within the motors' speed limits. With all joints at
 zero, an arm is folded."""
@@ -114,7 +115,7 @@ class YamsimEmbodiment:
             is_simulated=True,
             capabilities=frozenset({SEEDABLE, RESETTABLE, PRIVILEGED_SUCCESS, *([RENDERABLE] if images else [])}),
             supported_target_kinds=GOAL_KINDS | {GOAL_KIND},
-            docs=_NOTES,
+            docs=_EMBODIMENT_DESCRIPTION,
             environment_id="yamsim",
             environment_revision=__version__,
         )
@@ -145,7 +146,7 @@ class YamsimEmbodiment:
                     f"scene {scene.id!r} is not a scene of KitchenBench or yamsim; yamsim supports no others"
                 )
         for line in self._judge.unrealized:
-            _LOG.warning("%s: %s", scene.id, line)
+            _LOGGER.warning("%s: %s", scene.id, line)
         return self._observe(self.simulator)
 
     def step(self, action: Action) -> StepResult:

@@ -24,16 +24,16 @@ from ..core.expert.skills.skill import Skill
 from ..core.geometry.cloth_flattening import Point
 from ..core.geometry.se3 import Array
 from .object_poses import T_in_world
-from .slide_grasps import SLIDE_SPEED, slide_grasps
+from .slide_grasps import SLIDE_SPEED, find_slide_grasps
 
 _AREA_MARGIN = 0.96  # predicted area as a share of the required one, at which a fold suffices
 
 _MIN_CREASE, _MAX_CREASE = 0.15, 0.52  # from a side or corner, as shares of the cloth
-_LINE_GAP = 0.008  # m, between lines of points across a crease
+_MIN_LINE_DISTANCE = 0.008  # m, between lines of points across a crease
 
 _MIN_REDUCTION = 0.06  # share of the area, by a fold
 _MAX_FOLDS = 5  # per run of the skill
-_MAX_SLIDES = 2  # of crumpled cloth before the first fold
+_MAX_CRUMPLED_SLIDES = 2  # of crumpled cloth before the first fold
 _MAX_MISSES = 2  # failed grasps, after each of which other points are grasped
 
 # Cloth is laid beyond its target: several layers since outer ones have a longer path, a single one to stretch wrinkles.
@@ -44,7 +44,7 @@ _SINGLE_OVERSHOOT = 1.0  # multiple of the folded part's height
 _SPEED = 0.2  # m/s, of hands with cloth: the number of actions is limited
 _SLOW_SPEED = 0.08  # m/s; several layers slip at a higher speed
 
-_MAX_THIRD = 0.36  # share of the cloth
+_MAX_FOLDED_SHARE = 0.36  # share of the cloth
 _FAR_LIMIT, _NEAR_LIMIT = 0.60, 0.16  # m ahead of the bases, of a pulled cloth's far and near edges
 
 _FLAT_LAYERS = 8.0  # layer thicknesses, largest height of flat cloth
@@ -68,7 +68,7 @@ class FoldSmall(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    OF_CLOTH: ClassVar[bool] = True
+    HANDLES_CLOTH: ClassVar[bool] = True
     thing: str
     area: float
     thirds: bool = False
@@ -95,12 +95,14 @@ class FoldSmall(Skill):
                 fold for fold in self._sorted_folds(points, first=not folds) if fold.grasped_points not in missed
             ]
             fold, grasps = _first_reachable_fold(context, thing, points, candidates)
-            if self.crumpled and not folds and slides < _MAX_SLIDES and not self._is_sufficient(fold):
+            if self.crumpled and not folds and slides < _MAX_CRUMPLED_SLIDES and not self._is_sufficient(fold):
                 if unparked_hands(context):
                     # Hands that are still over the cloth block each other.
                     yield from open_and_park_hands(context)
                     continue
-                slide = slide_grasps(context, thing, _slide_turns(points), partial(self._is_foldable, context, thing))
+                slide = find_slide_grasps(
+                    context, thing, _bounding_box_turns(points), partial(self._is_foldable, context, thing)
+                )
                 if slide is not None:
                     yield from carry_points(context, thing, slide, arch=0.0, speed=SLIDE_SPEED)
                     slides += 1
@@ -127,10 +129,10 @@ class FoldSmall(Skill):
         before = bounding_box_area(points)
         folds = [fold for fold in possible_folds(points, first) if fold.area < (1 - _MIN_REDUCTION) * before]
         if self.thirds and first:
-            folds = [fold for fold in folds if fold.share < _MAX_THIRD and len(fold.corners) > 1]
+            folds = [fold for fold in folds if fold.folded_share < _MAX_FOLDED_SHARE and len(fold.corners) > 1]
 
         def fold_rank(fold: CreaseFold) -> tuple[bool, int, bool, int, float]:
-            return not self._is_sufficient(fold), fold.layers, len(fold.corners) < 2, fold.beneath, fold.area
+            return not self._is_sufficient(fold), fold.layers, len(fold.corners) < 2, fold.points_beneath, fold.area
 
         return sorted(folds, key=fold_rank)
 
@@ -150,7 +152,7 @@ def _first_reachable_fold(
     return next(((fold, grasps) for fold, grasps in tried if grasps), (None, None))
 
 
-def _slide_turns(points: Array) -> list[float]:
+def _bounding_box_turns(points: Array) -> list[float]:
     """Return angles by which a turned cloth's bounding box shrinks, rad."""
     heading = _sheet_heading(points)
     return [-heading, -1.2 * heading, 0.0]
@@ -180,15 +182,15 @@ class CreaseFold:
         corners: the grasped points, by row and column, and their targets (3,) in `world`, m.
         area: predicted area of the bounding box after the fold, m2.
         layers: number of folded layers beyond one.
-        beneath: number of points under the grasped ones, which hands may miss.
-        share: folded part of the cloth's length across the crease, 0..1.
+        points_beneath: number of points under the grasped ones, which hands may miss.
+        folded_share: folded part of the cloth's length across the crease, 0..1.
     """
 
     corners: tuple[tuple[Point, Array], ...]
     area: float
     layers: int
-    beneath: int
-    share: float
+    points_beneath: int
+    folded_share: float
 
     @property
     def grasped_points(self) -> tuple[Point, ...]:
@@ -231,7 +233,7 @@ def possible_folds(points: Array, single: bool) -> list[CreaseFold]:
 def _folds_over_creases(points: Array, corners: Sequence[Array], normal: Array, single: bool) -> list[CreaseFold]:
     """Return folds of corners (2,) over creases with a normal (2,), along lines of points: a sheet bends only there."""
     along = np.sort((points.reshape(-1, 3)[:, :2] - corners[0]) @ normal)
-    lines = [float(line.mean()) for line in np.split(along, np.flatnonzero(np.diff(along) > _LINE_GAP) + 1)]
+    lines = [float(line.mean()) for line in np.split(along, np.flatnonzero(np.diff(along) > _MIN_LINE_DISTANCE) + 1)]
     lines = [line for line in lines if 0 < _MIN_CREASE * along[-1] < line < _MAX_CREASE * along[-1]]
     return [_make_fold(points, corners, normal, line, single) for line in lines]
 

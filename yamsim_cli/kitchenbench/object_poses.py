@@ -13,7 +13,7 @@ from ..core.episode.simulator import Simulator
 from ..core.geometry.se3 import Array, invert_pose, pose, rotation_z
 from ..core.scene.start_sampling import footprint_corners, footprint_distance
 from ..core.sim.sim_world import make_sim_world
-from .asset_configs import COMPARTMENT, FOLD
+from .asset_configs import COMPARTMENT, FOLD_GOAL_KIND
 from .lids import LID, OPEN, SEAL
 
 #: Position of the blueprints' origin in `world`: ahead and to the left of the midpoint between the arms' bases, m.
@@ -29,13 +29,13 @@ _STEP = 0.002  # m, of displacements
 _RACK_GAP = 0.005  # m, between a rack and a displaced object
 _LID_GAP = 0.03  # m, between a container and its lid beside it
 _WALL_THICKNESS = 0.005  # m, thickness of a tray's walls
-_FINGER_ROOMS = (0.010, 0.003)  # m, between a wall and a displaced object, in the order tried
-_OVERLAP_COST = 0.02  # m, accepted displacement to avoid an overlap with another object
+_FINGER_CLEARANCES = (0.010, 0.003)  # m, between a wall and a displaced object, in the order tried
+_MAX_OVERLAP_SHIFT = 0.02  # m, accepted displacement to avoid an overlap with another object
 
 
 def origin_in_world(blueprint: SceneBlueprint) -> tuple[float, float]:
     """Return the position of a blueprint's origin in `world`, m."""
-    if blueprint.target_kind == FOLD:
+    if blueprint.target_kind == FOLD_GOAL_KIND:
         return (CLOTH_AHEAD, CLOTH_BESIDE)
     return (LID_AHEAD, LID_BESIDE) if blueprint.target_kind in (OPEN, SEAL) else (AHEAD, BESIDE)
 
@@ -83,7 +83,7 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
                     footprint_corners(room[other], places[other]) for other in places if other not in (name, tray)
                 ]
                 places[name] = min(free, key=partial(_displacement_cost, places[name], room[name], others))
-                _push_away(name, places, wanted, room, tray)
+                _displace_from_tray(name, places, wanted, room, tray)
     return places
 
 
@@ -97,7 +97,7 @@ def _put_lid_beside(places: dict[str, Array], room: Mapping[str, Array], lid: st
         T[1, 3] += away
 
 
-def _push_away(
+def _displace_from_tray(
     name: str, places: dict[str, Array], wanted: Mapping[str, Array], room: Mapping[str, Array], tray: str
 ) -> None:
     """Displace objects beside a tray that would lie under another one, unless the blueprint requires that."""
@@ -120,13 +120,13 @@ def _push_away(
         ):
             T[1, 3] += away
         if T[1, 3] != before:
-            _push_away(other, places, wanted, room, tray)
+            _displace_from_tray(other, places, wanted, room, tray)
 
 
 def _displacement_cost(T_required: Array, block: Array, others: Sequence[Array], T: Array) -> float:
-    """Return the distance of a pose (4, 4) from the required one, m, plus `_OVERLAP_COST` for each overlap."""
+    """Return the distance of a pose (4, 4) from the required one, m, plus `_MAX_OVERLAP_SHIFT` for each overlap."""
     overlaps = sum(footprint_distance(footprint_corners(block, T), other) < 0 for other in others)
-    return float(np.linalg.norm(T[:2, 3] - T_required[:2, 3])) + _OVERLAP_COST * overlaps
+    return float(np.linalg.norm(T[:2, 3] - T_required[:2, 3])) + _MAX_OVERLAP_SHIFT * overlaps
 
 
 def _beside_walls(T: Array, block: Array, T_tray: Array, tray: Array, middles: Sequence[float]) -> list[Array]:
@@ -145,7 +145,7 @@ def _beside_walls(T: Array, block: Array, T_tray: Array, tray: Array, middles: S
     if (np.abs(place) >= outer + half).any() or any((np.abs(place - middle) <= cell - half).all() for middle in cells):
         return []
     free = []
-    for fingers in _FINGER_ROOMS:
+    for fingers in _FINGER_CLEARANCES:
         room = np.maximum(cell - half - fingers, 0.0)
         free += [np.clip(place, middle - room, middle + room) for middle in cells]
         free += [np.array((side * (outer[0] + half[0] + fingers), place[1])) for side in (-1.0, 1.0)]

@@ -36,9 +36,9 @@ from .yamsim_scene import BENCHMARK, YamsimTaskScene, build_task_scene
 
 _STATE_TOLERANCE = 1e-6  # rad and gripper shares, between observed and simulated state: rounding
 _MAX_PATH_ERROR = 0.01  # rad, of a joint from its path between two actions: 5 mm at an arm's length
-_MAX_WAITS = 2  # actions after a motion, until everything is at rest
+_MAX_REST_ACTIONS = 2  # actions after a motion, until everything is at rest
 
-_LOG = logging.getLogger("yamsim")
+_LOGGER = logging.getLogger("yamsim")
 
 
 class YamsimExpert:
@@ -56,7 +56,7 @@ class YamsimExpert:
         self._set_control_rate(CONTROL_HZ)
 
     def bind(self, embodiment_info: EmbodimentInfo) -> None:
-        """Set the duration of actions to that of the embodiment."""
+        """Take the duration of an action from the embodiment."""
         self._set_control_rate(embodiment_info.control_hz or CONTROL_HZ)
 
     def reset(self, scene: Scene) -> None:
@@ -125,7 +125,7 @@ class PlanningScene:
             self._scene_id = realized.blueprint.scene_id
             program = build_scene_program(realized.blueprint, realized.object_configs, realized.base_positions)
         world = self.motion.episode.world
-        rng = random_generator(AttemptJob(seed, 0), Stream.SEARCH)
+        rng = random_generator(AttemptJob(seed, 0), Stream.PLANNING)
         self.context: PlanningContext = simulator.expert_planner.planning_context(
             world, list(start_postures(simulator.config)), rng
         )
@@ -148,7 +148,7 @@ class PlanningScene:
         for action in actions:
             self.motion.execute_action(action)
         # Arms lag behind the references, and the next skill plans from a state at rest.
-        limit = len(actions) + (_MAX_WAITS if segment is None or segment.wait_for_arrival else 0)
+        limit = len(actions) + (_MAX_REST_ACTIONS if segment is None or segment.wait_for_arrival else 0)
         while not self.motion.is_at_rest() and len(actions) < limit:
             actions.append(self.motion.last_reference)
             self.motion.execute_action(actions[-1])
@@ -158,7 +158,7 @@ class PlanningScene:
         try:
             return next(self._segments, None)
         except SkillFailedError as error:
-            _LOG.warning("%s: the expert gives up: %s", self._scene_id, error)
+            _LOGGER.warning("%s: the expert gives up: %s", self._scene_id, error)
             return None
 
     def close(self) -> None:
@@ -174,7 +174,7 @@ def is_still(segment: MotionSegment) -> bool:
     )
 
 
-def _straight_until(joints: Array, first: int, last: int) -> int:
+def _last_tick_on_line(joints: Array, first: int, last: int) -> int:
     """Return the last tick, up to `last`, to which a straight line from tick `first` follows a path (n + 1, dof)."""
     while last > first + 1:
         chord = joints[last] - joints[first]
@@ -196,7 +196,7 @@ def segment_actions(context: PlanningContext, segment: MotionSegment, ticks: int
     joints_of_both = np.concatenate([path.joints for path in segment.paths], axis=1)
     tick = 0
     while tick < segment.tick_count:
-        tick = _straight_until(joints_of_both, tick, min(tick + ticks, segment.tick_count))
+        tick = _last_tick_on_line(joints_of_both, tick, min(tick + ticks, segment.tick_count))
         parts = []
         for hand, fingers, path in zip(context.hands, fingers_of_both, segment.paths, strict=True):
             # A drive is a spring towards its command. The command includes the deflection by the weight of arm and

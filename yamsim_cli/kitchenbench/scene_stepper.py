@@ -21,7 +21,7 @@ ACTION_DIM = 2 * _ARM_DIM
 MIN_CLOSING_S = 0.35  # s, shortest motion of fingers through their whole range
 _REST_SPEED = 0.15  # rad/s and m/s; slower joints and objects are at rest
 _FINGER_REST_SPEED = 0.01  # m/s; slower fingers are at rest
-_PRESS_SHARE = 0.05  # gripper share; at 0 the gripper presses with its drive's full force
+_MIN_GRIPPER_SHARE = 0.05  # gripper share; at 0 the gripper presses with its drive's full force
 
 
 class RealizedScene(Protocol):
@@ -111,17 +111,17 @@ class SceneStepper:
 def commanded_opening(fingers: FingerAddresses, share: float) -> float:
     """Return the drive command, opening of one finger, m, for a share, 0 closed .. 1 open."""
     low = fingers.ctrl_range[0]
-    if share >= _PRESS_SHARE:
+    if share >= _MIN_GRIPPER_SHARE:
         return share * fingers.full_opening
-    return float(low + share / _PRESS_SHARE * (_PRESS_SHARE * fingers.full_opening - low))
+    return float(low + share / _MIN_GRIPPER_SHARE * (_MIN_GRIPPER_SHARE * fingers.full_opening - low))
 
 
 def commanded_share(fingers: FingerAddresses, opening: float) -> float:
     """Return the share for a drive command, m; the inverse of `commanded_opening`."""
     low = fingers.ctrl_range[0]
-    if opening >= _PRESS_SHARE * fingers.full_opening:
+    if opening >= _MIN_GRIPPER_SHARE * fingers.full_opening:
         return float(min(1.0, opening / fingers.full_opening))
-    return float(max(0.0, _PRESS_SHARE * (opening - low) / (_PRESS_SHARE * fingers.full_opening - low)))
+    return float(max(0.0, _MIN_GRIPPER_SHARE * (opening - low) / (_MIN_GRIPPER_SHARE * fingers.full_opening - low)))
 
 
 def scene_fingers(arms: Sequence[ArmAddresses]) -> list[FingerAddresses]:

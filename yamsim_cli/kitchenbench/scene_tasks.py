@@ -15,7 +15,7 @@ from kitchenbench.sim.blueprint import SceneBlueprint
 from kitchenbench.sim.success import CONTACT_TOL_M, CONTAIN_FRACTION
 
 from ..core.config.goals.world import TABLE
-from ..core.config.program_task import PROGRAM
+from ..core.config.program_task import PROGRAM_KIND
 from ..core.errors import UsageError, suggest_similar
 from ..core.expert.skills.program import SKILLS
 from ..core.expert.skills.skill import Skill
@@ -25,20 +25,26 @@ from .skill_programs import build_scene_program
 
 _MAX_ARRANGEMENTS, _EPOCHS = 100, 600
 _HOLD_SECONDS = 0.5  # s; KitchenBench's checkers require a single state
-_KINDS = ("place_on", "stack", "place_in", "handoff")  # without sorting: compartments are not objects of a task
+_SUPPORTED_GOAL_KINDS = (
+    "place_on",
+    "stack",
+    "place_in",
+    "handoff",
+)  # without sorting: compartments are not objects of a task
 
 
 def scene_task_data(name: str) -> dict[str, Any]:
     """Return the task of a scene, as the data of a task's YAML.
 
     The name is `TASK/INSTANCE`, such as `stack/cups`; with `@K`, of the scene's epoch K instead of 0. That epoch gives
-    objects, instruction and expert. The arrangements are those of up to 100 epochs with the same objects.
+    objects, instruction and expert. It has one arrangement for each of up to 100 epochs with the same objects.
     """
-    scene, epoch = _find_scene(name)
+    scene, epoch = _parse_scene_and_realization(name)
     first = _scene_blueprint(scene, epoch)
-    if first.target_kind not in _KINDS:
+    if first.target_kind not in _SUPPORTED_GOAL_KINDS:
         raise UsageError(
-            f"kitchenbench/{name}: goals of kind {first.target_kind!r} cannot be recorded; valid: {', '.join(_KINDS)}"
+            f"kitchenbench/{name}: goals of kind {first.target_kind!r} cannot be recorded; "
+            f"valid: {', '.join(_SUPPORTED_GOAL_KINDS)}"
         )
     base = open_station_session("64x48", images=False)
     if table_for_scene(base.config, first) != base.config.scene.table:
@@ -49,7 +55,7 @@ def scene_task_data(name: str) -> dict[str, Any]:
     realized = build_benchmark_scene(first, base)
     try:
         arrangements = []
-        for number in _epoch_order(epoch):
+        for number in _epochs_from(epoch):
             blueprint = _scene_blueprint(scene, number)
             if _scene_requirements(blueprint) == _scene_requirements(first):
                 places = feasible_poses(realized.simulator, blueprint)
@@ -63,7 +69,7 @@ def scene_task_data(name: str) -> dict[str, Any]:
     items, timing = realized.object_configs, realized.simulator.config.task.timing
     return {
         "name": f"kitchenbench_{first.scene_id.replace('-', '_')}",
-        "kind": PROGRAM,
+        "kind": PROGRAM_KIND,
         "rig": STATION_RIG,
         "things": {name: {"of": [item.model_dump(mode="json", exclude_defaults=True)]} for name, item in items.items()},
         "starts": {name: _start_region(name, arrangements) for name in items},
@@ -75,7 +81,7 @@ def scene_task_data(name: str) -> dict[str, Any]:
     }
 
 
-def _find_scene(name: str) -> tuple[Scene, int]:
+def _parse_scene_and_realization(name: str) -> tuple[Scene, int]:
     path, _, epoch = name.partition("@")
     task, _, instance = path.partition("/")
     if task not in tasks.TASK_FACTORIES:
@@ -89,7 +95,7 @@ def _find_scene(name: str) -> tuple[Scene, int]:
     return scenes[instance], int(epoch or 0)
 
 
-def _epoch_order(first: int) -> Iterator[int]:
+def _epochs_from(first: int) -> Iterator[int]:
     yield first
     yield from (number for number in range(_EPOCHS) if number != first)
 

@@ -20,7 +20,7 @@ from .lids import SEAL
 from .object_poses import T_in_world
 from .sorting import Sort
 
-_BOW_CLEARANCE = 0.008  # m, between a dish and the bow at an end of the rack
+_RACK_BOW_CLEARANCE = 0.008  # m, between a dish and the bow at an end of the rack
 _STACK_DROP = 0.02  # m, height of release: the fingers around the rim reach below it
 _PLATE_DROP = 0.015  # m over a plate, height of cutlery's release: KitchenBench takes the rim as the top
 _COMPARTMENT_PREFIX = "compartment_"  # the kind of cutlery follows
@@ -74,7 +74,7 @@ def _slot_placement(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig]
     shape, dish = items[rack].shape, next(thing for thing in blueprint.objects if thing.name == item)
     assert isinstance(shape, RackShape), "a rack is made from sizes"
     slots = (np.arange(shape.slots) - (shape.slots - 1) / 2) * shape.slot_mm / 1000
-    room = shape.size_mm[0] / 2000 - _BOW_CLEARANCE - _width_cm(dish) / 200
+    room = shape.size_mm[0] / 2000 - _RACK_BOW_CLEARANCE - _width_cm(dish) / 200
     required = slots[min(int(blueprint.conditions.get("slot_index", 1)), len(slots)) - 1]
     fitting = slots[np.abs(slots) <= room]
     x = min(fitting, key=lambda slot: abs(slot - required), default=0.0)
@@ -97,12 +97,12 @@ def _stack_program(blueprint: SceneBlueprint, names: Sequence[str], bases: Seque
     items = {item.name: item for item in blueprint.objects if item.name in names}
     places = {name: T_in_world(item, blueprint)[:2, 3] for name, item in items.items()}
 
-    def longest_reach(below: str) -> float:
+    def longest_reach_of_nearer_arm(below: str) -> float:
         """Return an arm's longest reach, m, if the nearer arm brings each object."""
         paths = ((places[name], places[below]) for name in names if name != below)
         return max(min(max(float(np.linalg.norm(end - base)) for end in path) for base in bases) for path in paths)
 
-    below, *others = sorted(names, key=lambda name: (-_width_cm(items[name]), longest_reach(name)))
+    below, *others = sorted(names, key=lambda name: (-_width_cm(items[name]), longest_reach_of_nearer_arm(name)))
     others.sort(key=lambda name: (-_width_cm(items[name]), _distance_between(places, name, below)))
     skills: list[Skill] = []
     for name in others:

@@ -23,7 +23,7 @@ _MAX_HEIGHT_RANGE = 0.02  # m, after a slide
 _MAX_TRIALS = 8  # slides that are simulated; each takes long
 
 
-def slide_grasps(
+def find_slide_grasps(
     context: PlanningContext, thing: str, turns: Sequence[float], wanted: Callable[[Array], bool]
 ) -> list[PointGrasp] | None:
     """Return grasps with which two hands slide a flat cloth to where `wanted` is true; None if no slide achieves that.

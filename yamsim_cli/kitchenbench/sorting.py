@@ -27,12 +27,12 @@ from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, 
 from ..core.scene.start_sampling import footprint_corners, footprint_distance
 from ..core.sim.sim_world import SimWorld
 
-_LOG = logging.getLogger("yamsim")
+_LOGGER = logging.getLogger("yamsim")
 
 _MIN_SHARE_INSIDE = 0.85  # of an object's volume; KitchenBench requires a little less
-_MAX_TRIES = 4  # per object
-_OUTSIDE_PENALTY = 1.5  # tries added for objects outside the tray, so that those inside come first
-_PARKED_TOLERANCE = 1e-6  # rad; an arm this near to its ready joints is out of the way
+_MAX_TRIES_PER_OBJECT = 4  # times that a move of one object is tried
+_OUTSIDE_TRAY_PENALTY = 1.5  # tries added for objects outside the tray, so that those inside come first
+_PARKED_TOLERANCE = 1e-6  # rad; an arm whose joints are this near to the ready posture counts as out of the way
 _LIFT_HEIGHT = 0.06  # m; cutlery that hangs in the fingers clears the tray's wall
 _HANDOVER_HEIGHT = 0.25  # m over the table, of the object's origin
 
@@ -50,11 +50,11 @@ _MAX_GRASPS = 8  # of each hand, tested at the places on the table: each costs a
 _UPRIGHT_COSINE = math.cos(math.radians(3.0))  # of the tilt; an object with a larger cosine stays upright
 _TILTED_COSINE = 0.6  # of the tilt; an object with a smaller cosine stays on its side or head
 
-_REACH = 0.040  # m, largest measured free distance on each side before a slide
+_MAX_FREE_DISTANCE = 0.040  # m, largest measured free distance on each side before a slide
 _MIN_SLIDE = 0.005  # m, shorter slides are not tried
-_MIN_MOTION = 0.002  # m; an object that moved less has not slid
+_MIN_SLID_DISTANCE = 0.002  # m; an object that moved less has not slid
 _FLAT_HEIGHT = 0.006  # m, pressed top over the object's lowest point; a higher part would roll
-_PRESS_SPACING = 0.012  # m, between places to press
+_PRESS_POINT_SPACING = 0.012  # m, between places to press
 _APPROACH_HEIGHT = 0.07  # m over the pressing pose, where the descent starts
 _CHECK_HEIGHT = 0.012  # m over the pressing pose, where contacts with other objects are checked
 _SLIDE_SPEED = 0.10  # m/s, speed of a pressing hand
@@ -68,7 +68,7 @@ class PlaceInCompartment(PlaceSkill):
     """Place a long object along a compartment, beside objects of the role `beside` if there is room, else on them."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "into", "beside")
-    LOWERING: ClassVar[float] = 0.25
+    LOWERING_SPEED: ClassVar[float] = 0.25
     into: str
     beside: str
 
@@ -158,12 +158,12 @@ def _set_rest_heights(context: PlanningContext, thing: str, onto: str, goals: Se
 
 
 class PutBesideTray(PlaceSkill):
-    """Put a long object down on a free place of the table from which `then` can follow."""
+    """Put a long object down on a free place of the table from which `next_place_skill` can follow."""
 
-    then: PlaceSkill | None = None
+    next_place_skill: PlaceSkill | None = None
 
     def goal_poses(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """Return poses (4, 4) on free places of the table: by the best grasp for `then`, then by distance."""
+        """Return poses (4, 4) on free places of the table: by grasp for `next_place_skill`, then by distance."""
         world, (low, high) = context.world, context.world.aabb(TABLE)
         others = [
             footprint_corners(world.local_box(name), world.pose(name)) for name in world.object_names if name != thing
@@ -181,14 +181,18 @@ class PutBesideTray(PlaceSkill):
                     goals.append(T)
         _set_rest_heights(context, thing, TABLE, goals)
         goals.sort(key=lambda T: float(np.linalg.norm(T[:2, 3] - now)))
-        grasps = [] if self.then is None else _grasps_for(context, roles, thing, self.then)
+        grasps = (
+            [] if self.next_place_skill is None else _grasps_that_allow(context, roles, thing, self.next_place_skill)
+        )
         return sorted(
             goals,
-            key=lambda T: next((rank for rank, hand, T_pinch in grasps if _can_pick(hand, T @ T_pinch)), math.inf),
+            key=lambda T: next(
+                (rank for rank, hand, T_pinch in grasps if _can_approach_grasp(hand, T @ T_pinch)), math.inf
+            ),
         )
 
 
-def _grasps_for(
+def _grasps_that_allow(
     context: PlanningContext, roles: RoleAssignment, thing: str, put: PlaceSkill
 ) -> list[tuple[int, Hand, Array]]:
     """Return rank, hand, and pinch frame (4, 4) in the object's frame of the grasps with which `put` succeeds, best
@@ -199,7 +203,7 @@ def _grasps_for(
         suitable = (
             (rank, hand, grip.T_pinch_in_thing)
             for rank, grip in enumerate(context.grasp_candidates(thing, hand.max_opening))
-            if not hand.has_failed_with(thing, grip.T_pinch_in_thing)
+            if not hand.is_similar_to_failed_grasp(thing, grip.T_pinch_in_thing)
             and put.infeasibility_reason(
                 context, roles, hand, thing, invert_pose(grip.T_pinch_in_thing), hand.ready_joints
             )
@@ -209,7 +213,7 @@ def _grasps_for(
     return sorted(found, key=lambda each: each[0])
 
 
-def _can_pick(hand: Hand, T_pinch: Array) -> bool:
+def _can_approach_grasp(hand: Hand, T_pinch: Array) -> bool:
     if not is_orientation_plausible(T_pinch, hand.arm.T_base_in_world):
         return False
     at = hand.solve_ik(T_pinch, (hand.ready_joints,))
@@ -233,7 +237,7 @@ class Slide(Skill):
     """Press closed fingers onto a flat object, and slide it sideways to the middle of its free space."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS_HELD: ClassVar[bool | None] = False
+    REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
     thing: str
     arm: ArmSelector = "any"
 
@@ -244,7 +248,8 @@ class Slide(Skill):
         thing = roles.object_of(self.thing)
         across = _slide_direction(context, thing)
         one, other = (
-            context.collision_checker.free_distance(context.qpos, thing, side * across, _REACH) for side in (1.0, -1.0)
+            context.collision_checker.free_distance(context.qpos, thing, side * across, _MAX_FREE_DISTANCE)
+            for side in (1.0, -1.0)
         )
         distance = (one - other) / 2
         if abs(distance) < _MIN_SLIDE:
@@ -259,7 +264,7 @@ class Slide(Skill):
                 yield from park_free_hands(context, hand)
                 yield from _slide_motions(context, hand, press, shift)
                 moved = float((context.world.pose(thing)[:2, 3] - before) @ shift) / abs(distance)
-                if moved < _MIN_MOTION:
+                if moved < _MIN_SLID_DISTANCE:
                     raise SkillFailedError(FailureCause.OFF_TARGET, f"the {thing} did not slide")
                 return
         raise SkillFailedError(FailureCause.UNREACHABLE, f"no arm reaches a place where it could press on the {thing}")
@@ -270,7 +275,7 @@ class Slide(Skill):
         down = np.array((0.0, 0.0, -1.0))
         upright = np.column_stack([np.cross((*away, 0.0), down), (*away, 0.0), down])
         far = np.array((*(shift + _OVERTRAVEL * away), 0.0))
-        places = _flat_places(context, thing, away)
+        places = _flat_press_points(context, thing, away)
         for tilt, lean, place, turn in itertools.product(_SIDE_TILTS, _LONG_TILTS, places, (0.0, math.pi)):
             turned = rotation_from_vector([tilt, 0.0, 0.0]) @ rotation_from_vector([0.0, lean, 0.0])
             R = upright @ turned @ rotation_from_vector([0.0, 0.0, turn])
@@ -313,14 +318,14 @@ def _slide_direction(context: PlanningContext, thing: str) -> Array:
     return across
 
 
-def _flat_places(context: PlanningContext, thing: str, away: Array) -> list[Array]:
+def _flat_press_points(context: PlanningContext, thing: str, away: Array) -> list[Array]:
     """Return points (3,) on top of an object's flat parts in `world`, m, the farthest along the slide first."""
     bounds = context.world.geom_aabbs(thing)
     lowest, middle = context.world.aabb(thing)[0][2], context.world.pose(thing)[:2, 3]
     low = [(*(first + last)[:2] / 2, last[2]) for first, last in bounds if last[2] < lowest + _FLAT_HEIGHT]
     found: list[Array] = []
     for place in sorted(map(np.array, low), key=lambda place: -float((place[:2] - middle) @ away)):
-        if all(np.linalg.norm(place - other) > _PRESS_SPACING for other in found):
+        if all(np.linalg.norm(place - other) > _PRESS_POINT_SPACING for other in found):
             found.append(place)
     return found
 
@@ -341,15 +346,15 @@ class Sort(Skill):
 
         while left := self.remaining_objects(context.world, roles, tries):
             name = left[0]
-            if tries.get(name, 0) == _MAX_TRIES:
-                _LOG.warning("the expert leaves the %s where it is: %s", name, failures[name])
+            if tries.get(name, 0) == _MAX_TRIES_PER_OBJECT:
+                _LOGGER.warning("the expert leaves the %s where it is: %s", name, failures[name])
                 return
             parked = all(np.abs(hand.joints - hand.ready_joints).max() < _PARKED_TOLERANCE for hand in context.hands)
             try:
                 yield from self._move_to_compartment(context, roles, name, tries.get(name, 0) + 1)
             except SkillFailedError as error:
                 failures[name] = str(error)
-                yield from _put_back(context, roles, name)
+                yield from _put_on_table(context, roles, name)
                 yield from open_and_park_hands(context)
                 # A try without parked arms does not count: one arm may have blocked the other.
                 tries[name] = tries.get(name, 0) + parked
@@ -374,7 +379,7 @@ class Sort(Skill):
                 for other in names
                 if other != name
             )
-            waits = tries.get(name, 0) + (0.0 if self._in_tray(world, name) else _OUTSIDE_PENALTY)
+            waits = tries.get(name, 0) + (0.0 if self._in_tray(world, name) else _OUTSIDE_TRAY_PENALTY)
             return covered, waits, -float(world.pose(name)[1, 3])
 
         return sorted(names, key=sorting_rank)
@@ -385,13 +390,13 @@ class Sort(Skill):
         """Bring an object to its compartment. `number` counts the tries: 1 by one arm; 2 after a slide; 3 after putting
         it beside the tray; 4 by a handover.
         """
-        pick = PickNarrow(thing=name, lift=_LIFT_HEIGHT)
+        pick = PickNarrowObject(thing=name, lift=_LIFT_HEIGHT)
         put = PlaceInCompartment(thing=name, into=self.into[roles.config_names[name]], beside=self.things)
         if number == 2:
             with suppress(SkillFailedError):
                 yield from Slide(thing=name).run(context, roles, (pick,))
         if number == 3:
-            put_aside = PutBesideTray(thing=name, then=put)
+            put_aside = PutBesideTray(thing=name, next_place_skill=put)
             yield from pick.run(context, roles, (put_aside,))
             yield from put_aside.run(context, roles, ())
         give = Handover(thing=name, height=_HANDOVER_HEIGHT)
@@ -402,7 +407,7 @@ class Sort(Skill):
         yield from put.run(context, roles, ())
 
 
-class PickNarrow(Pick):
+class PickNarrowObject(Pick):
     """Grasp a narrow object: the arm need not be at rest before the fingers close.
 
     A grasp that slips is not tried again with that object.
@@ -422,7 +427,7 @@ class PickNarrow(Pick):
             raise
 
 
-def _put_back(context: PlanningContext, roles: RoleAssignment, name: str) -> Iterator[MotionSegment]:
+def _put_on_table(context: PlanningContext, roles: RoleAssignment, name: str) -> Iterator[MotionSegment]:
     """Put a held object onto a free place of the table, else release it a little lower."""
     hand = find_holding_hand(context, name)
     if hand is None:

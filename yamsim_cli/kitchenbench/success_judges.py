@@ -9,7 +9,7 @@ from kitchenbench.sim import make_success_checker
 
 from ..core.episode.episode_rules import EndRule
 from ..core.geometry.se3 import Array
-from ..core.scene.compiled import GeomOwner
+from ..core.scene.compiled import GeomOwnerKind
 from ..core.sim.geom_shapes import geom_aabb
 from ..core.sim.sim_world import SimWorld
 from .benchmark_scene import BenchmarkScene
@@ -78,7 +78,7 @@ class KitchenWorld:
         }
         self.scene: SimWorld = motion.episode.world
         self._names = {*names, *realization.regions}
-        fingers = np.isin(compiled.geom_kind, (GeomOwner.LEFT_FINGER, GeomOwner.RIGHT_FINGER)) & (
+        fingers = np.isin(compiled.geom_kind, (GeomOwnerKind.LEFT_FINGER, GeomOwnerKind.RIGHT_FINGER)) & (
             compiled.model.geom_contype != 0
         )
         self._grippers = {

@@ -13,7 +13,7 @@ from ..camera_reader import CameraReader, Picture, served_cameras
 from ..core.errors import ResourceError, YamsimError
 from .config import YamsimCameraConfig
 
-_READ_S = 5.0  # s, longest wait of `read`
+_READ_TIMEOUT_S = 5.0  # s, longest wait of `read`
 
 
 class YamsimCamera(Camera):
@@ -84,7 +84,7 @@ class YamsimCamera(Camera):
             DeviceNotConnectedError: the camera is not connected, or the server has ended.
             TimeoutError: no picture arrived in time.
         """
-        return self._wait_for_new(_READ_S)
+        return self._wait_for_new(_READ_TIMEOUT_S)
 
     def async_read(self, timeout_ms: float = 200) -> NDArray[Any]:
         """Wait up to `timeout_ms` for a picture (height, width, 3) that was not read yet."""
@@ -92,7 +92,7 @@ class YamsimCamera(Camera):
 
     def read_latest(self, max_age_ms: int = 500) -> NDArray[Any]:
         """Return the newest picture (height, width, 3), even if read before. Raise TimeoutError if it is too old."""
-        picture = self._picture_after(-1, _READ_S)
+        picture = self._picture_after(-1, _READ_TIMEOUT_S)
         age_ms = (time.time_ns() - picture.time_ns) / 1e6
         if age_ms > max_age_ms:
             raise TimeoutError(f"{self}: the newest picture is {age_ms:.0f} ms old, more than {max_age_ms} ms")

@@ -45,7 +45,7 @@ class GeneratedMeshes:
 
 
 @dataclass(frozen=True)
-class Menagerie:
+class MenagerieMeshes:
     """Meshes from the optional package `mujoco-menagerie`.
 
     A `MENAGERIE_ROOT` checkout or a cached model needs no network. The package's host must accept a connection within
@@ -69,7 +69,7 @@ class Menagerie:
         assert assets.menagerie is not None  # see `has_set`
         if importlib.util.find_spec("mujoco_menagerie") is None:
             raise SourceError("not installed")
-        host = _host_needed(assets.menagerie)
+        host = _download_host(assets.menagerie)
         if host is not None and not _accepts_connection(host, self.probe_s):
             raise SourceError(f"{host[0]} does not answer within {self.probe_s:g} s")
         label = f"{assets.name}: {self.name}"
@@ -84,7 +84,7 @@ class Menagerie:
         return found
 
 
-def _host_needed(model: str) -> tuple[str, int] | None:
+def _download_host(model: str) -> tuple[str, int] | None:
     """Return host and port from which the package downloads `model`; None if it is cached."""
     import mujoco_menagerie
 
@@ -179,7 +179,7 @@ class PinnedArchives:
         def downloaded_bytes() -> int:
             # pip downloads under TMPDIR and then copies the file to its destination.
             paths = (out / archive.file, *temporary.glob(f"*/{archive.file}"))
-            size = min(archive.size, max(map(_size, paths)))
+            size = min(archive.size, max(map(_tree_size, paths)))
             progress(label, size, archive.size)
             return size
 
@@ -208,7 +208,7 @@ def _pip_command(archive: Archive, requirements: Path, temporary: Path, out: Pat
     return [*pip, *quiet, *what]
 
 
-def _size(path: Path) -> int:
+def _tree_size(path: Path) -> int:
     try:
         return path.stat().st_size
     except FileNotFoundError:  # pip moves and deletes files concurrently

@@ -14,9 +14,9 @@ from ..core.files.writing import exclusive_lock
 from ..core.scene.assets.asset_lock import AssetLock, AssetSet
 from ..core.scene.assets.asset_store import AssetStore, MismatchError
 from ..core.scene.assets.sources import AssetSource, FetchProgress, SourceError, no_progress
-from .downloads import GeneratedMeshes, Menagerie, PinnedArchives
+from .downloads import GeneratedMeshes, MenagerieMeshes, PinnedArchives
 
-STORE_SOURCE = "store"  # `FetchedSet.source` of a set that was already present
+ALREADY_STORED = "store"  # `FetchedSet.source` of a set that was already present
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class FetchReport:
 
 def default_sources(lock: AssetLock) -> tuple[AssetSource, ...]:
     """Return the sources of meshes in the order of trial."""
-    return GeneratedMeshes(lock.made), Menagerie(), PinnedArchives(lock.archives)
+    return GeneratedMeshes(lock.generated_sets), MenagerieMeshes(), PinnedArchives(lock.archives)
 
 
 def fetch(
@@ -60,7 +60,7 @@ def fetch(
     wanted = lock.select_sets(names)
     found = {assets.name: store.find_verified_folder(assets) for assets in wanted}
     sets = {
-        name: FetchedSet(name, STORE_SOURCE, directory) for name, directory in found.items() if directory is not None
+        name: FetchedSet(name, ALREADY_STORED, directory) for name, directory in found.items() if directory is not None
     }
     missing = [assets for assets in wanted if assets.name not in sets]
     failures = []
@@ -74,7 +74,7 @@ def fetch(
                     if stop_at_failure:
                         break
             if not failures:
-                store.failure_mark.unlink(missing_ok=True)
+                store.fetch_failure_file.unlink(missing_ok=True)
     if failures:
         raise ResourceError(
             f"could not fetch {', '.join(failures)}; check the network and run `yamsim assets fetch` again, or copy "
@@ -94,7 +94,7 @@ def _publish_set(
     """Publish a set from the first source that provides the locked files. Needs `store.write_lock`."""
     if (present := store.find_verified_folder(assets)) is not None:
         # Another process fetched the set while this one waited for the store.
-        return FetchedSet(assets.name, STORE_SOURCE, present)
+        return FetchedSet(assets.name, ALREADY_STORED, present)
     reasons = []
     for source in sources:
         if not source.has_set(assets):
@@ -120,9 +120,9 @@ def _read_source(source: AssetSource, assets: AssetSet, scratch: Path, progress:
 
 
 FAILURE_VALID_S = 3600.0  # s after a failed download, in which commands do not try again
-IDLE_S = 7.0  # s without progress; with Menagerie's probe of 2 s, a fetch without network ends in 10 s
-ARCHIVE_S = 300.0  # s, for an archive of at most 33 MB, which requires 110 kB/s
-MENAGERIE_S = 30.0  # s, for a model of 5 MB; then the pinned archive is tried
+MAX_IDLE_S = 7.0  # s without progress; with Menagerie's probe of 2 s, a fetch without network ends in 10 s
+MAX_ARCHIVE_S = 300.0  # s, for an archive of at most 33 MB, which requires 110 kB/s
+MAX_MENAGERIE_S = 30.0  # s, for a model of 5 MB; then the pinned archive is tried
 
 _LOCK = ".first-use"
 
@@ -135,9 +135,9 @@ def fetch_missing(lock: AssetLock, names: Collection[str], store: AssetStore, pr
     try:
         store.root.mkdir(parents=True, exist_ok=True)
         with exclusive_lock(store.root / _LOCK):
-            if made := [name for name in names if name in lock.made]:
-                fetch(lock, made, store, (GeneratedMeshes(lock.made),))
-            if downloaded := [name for name in names if name not in lock.made]:
+            if made := [name for name in names if name in lock.generated_sets]:
+                fetch(lock, made, store, (GeneratedMeshes(lock.generated_sets),))
+            if downloaded := [name for name in names if name not in lock.generated_sets]:
                 _download_absent_sets(lock, downloaded, store, progress)
     except OSError as error:
         raise ResourceError(f"cannot write to the asset store {store.root}: {error.strerror or error}") from error
@@ -147,23 +147,26 @@ def _download_absent_sets(lock: AssetLock, names: Collection[str], store: AssetS
     absent = [name for name in names if store.find_verified_folder(lock.sets[name]) is None]
     if not absent:
         return
-    if _failed_lately(store):
+    if _has_failed_recently(store):
         raise ResourceError("fetching them failed less than an hour ago; run `yamsim assets fetch` to try again now")
-    sources = (Menagerie(limit_s=MENAGERIE_S), PinnedArchives(lock.archives, idle_s=IDLE_S, limit_s=ARCHIVE_S))
+    sources = (
+        MenagerieMeshes(limit_s=MAX_MENAGERIE_S),
+        PinnedArchives(lock.archives, idle_s=MAX_IDLE_S, limit_s=MAX_ARCHIVE_S),
+    )
     try:
         fetch(lock, absent, store, sources, progress, stop_at_failure=True)
     except ResourceError:
         with contextlib.suppress(OSError):
-            store.failure_mark.touch()
+            store.fetch_failure_file.touch()
         raise
 
 
-def _failed_lately(store: AssetStore) -> bool:
+def _has_failed_recently(store: AssetStore) -> bool:
     lock = store.root / _LOCK
     try:
         # Both times are by the file system's clock, which can differ from the machine's.
         lock.touch()
-        age_s = lock.stat().st_mtime - store.failure_mark.stat().st_mtime
+        age_s = lock.stat().st_mtime - store.fetch_failure_file.stat().st_mtime
     except OSError:
         return False
     return 0 <= age_s < FAILURE_VALID_S

@@ -17,13 +17,13 @@ from ..core.geometry.height_map import crossings_along_z
 from ..core.geometry.se3 import Array, quat_from_rotation
 from ..core.geometry.stl import Faces, decode_stl, encode_stl
 from .collision_geometry import CollisionGeometry, CollisionMode, collision_geometry, rolling_radius, shift_part
-from .convex_decomposition import ReportShare
+from .convex_decomposition import ShareCallback
 from .overhead_grasps import overhead_grasp
-from .part_surfaces import merged_surface, plain_inertia, scale_mass, solid_or_sheet
+from .part_surfaces import mass_properties_and_is_solid, merged_surface, plain_inertia, scale_mass
 from .primitives import PointBody
 from .readers.object_parts import MassProperties, ObjectDescription, RigidPart
 from .visual_meshes import VisualMeshes, make_visual_meshes
-from .ycb_config import MIN_VESSEL_DEPTH, ROLLING_SHARE
+from .ycb_config import MIN_VESSEL_DEPTH, ROLLING_FRICTION_SHARE
 
 _DEFAULT_DENSITY = 1000.0  # kg/m3, if nothing states a mass; close to most plastics, ripe fruit and water
 _DEFAULT_FRICTION = 0.8  # sliding
@@ -32,7 +32,7 @@ _TORSIONAL_FRICTION, _ROLLING_FRICTION = 0.005, 0.0005  # m; rolling objects use
 _MID_RADIUS, _MAX_UNEVENNESS = 0.012, 0.004
 _MIN_THICKNESS = 1e-6  # thickness of a base over its extent; a thinner base has no volume
 # SI units, for joints whose file states neither: without losses they never come to rest.
-_DEFAULT_JOINT_LOSSES = {"slide": {"damping": 2.0, "friction": 0.3}, "hinge": {"damping": 0.01, "friction": 0.005}}
+_DEFAULT_JOINT_FRICTION = {"slide": {"damping": 2.0, "friction": 0.3}, "hinge": {"damping": 0.01, "friction": 0.005}}
 
 
 @dataclass(frozen=True)
@@ -80,20 +80,20 @@ class BuiltObject:
     def config_with_mesh_set(self, name: str) -> dict[str, Any]:
         """Return the config data with `name` as mesh set."""
 
-        def mesh_with_set(meshes: list[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        def with_mesh_set_name(meshes: list[Mapping[str, Any]]) -> list[dict[str, Any]]:
             return [{"set": name, **mesh} for mesh in meshes]
 
         data = dict(self.data)
-        (data["mesh"],) = mesh_with_set([data["mesh"]])
+        (data["mesh"],) = with_mesh_set_name([data["mesh"]])
         if "meshes" in data:
-            data["meshes"] = mesh_with_set(data["meshes"])
+            data["meshes"] = with_mesh_set_name(data["meshes"])
         if "links" in data:
-            data["links"] = [{**link, "meshes": mesh_with_set(link["meshes"])} for link in data["links"]]
+            data["links"] = [{**link, "meshes": with_mesh_set_name(link["meshes"])} for link in data["links"]]
         return data
 
 
 def build_object(
-    thing: ObjectDescription, options: ImportOptions, cache: Path, share: ReportShare = lambda done: None
+    thing: ObjectDescription, options: ImportOptions, cache: Path, share: ShareCallback = lambda done: None
 ) -> BuiltObject:
     """Build an object's config and files from a description in metres, z up.
 
@@ -105,14 +105,14 @@ def build_object(
     base = merged_surface(thing.parts[0].looks)
     _require_volume(base[0], options.name)
     labels = _part_labels(thing)
-    solids = [solid_or_sheet(*merged_surface(part.looks)) if part.looks else None for part in thing.parts]
+    solids = [mass_properties_and_is_solid(*merged_surface(part.looks)) if part.looks else None for part in thing.parts]
     weights = _mass_properties(thing, options, [None if solid is None else solid[0] for solid in solids])
     collision = []
     for number, (part, label) in enumerate(zip(thing.parts, labels, strict=True)):
         part_share = functools.partial(_report_part_progress, share, number, len(thing.parts))
         geometry = collision_geometry(label, part.looks, part.shapes, options.collision, cache, part_share)
         collision.append(geometry)
-    depth, level = _rim_depth(*base), _level_height(*base)
+    depth, level = _rim_depth(*base), _level_surface_height(*base)
     origin = _object_origin(base[0], weights[0], supports_others=level is not None)
     looks = [make_visual_meshes(f"{label}_look", part.looks) for part, label in zip(thing.parts, labels, strict=True)]
     data: dict[str, Any] = {
@@ -152,7 +152,7 @@ def build_object(
     )
 
 
-def _report_part_progress(share: ReportShare, number: int, parts: int, done: float) -> None:
+def _report_part_progress(share: ShareCallback, number: int, parts: int, done: float) -> None:
     share(number / parts + 1 / parts * done)
 
 
@@ -213,7 +213,7 @@ def _surface_heights(vertices: Array, faces: Faces) -> Array:
     return np.array([heights[-1] for heights in found if len(heights)])
 
 
-def _level_height(vertices: Array, faces: Faces) -> float | None:
+def _level_surface_height(vertices: Array, faces: Faces) -> float | None:
     heights = _surface_heights(vertices, faces)
     if len(heights) < 20 or np.ptp(heights) > _MAX_UNEVENNESS:
         return None
@@ -234,7 +234,7 @@ def _lowest_height(thing: ObjectDescription) -> float:
 
 def _contact_data(geometry: CollisionGeometry, friction: float) -> dict[str, Any]:
     if (radius := rolling_radius(geometry.parts)) is not None:
-        return {"friction": [friction, _TORSIONAL_FRICTION, round(ROLLING_SHARE * radius, 4)], "condim": 6}
+        return {"friction": [friction, _TORSIONAL_FRICTION, round(ROLLING_FRICTION_SHARE * radius, 4)], "condim": 6}
     return {"friction": [friction, _TORSIONAL_FRICTION, _ROLLING_FRICTION], "condim": 4}
 
 
@@ -256,7 +256,7 @@ def _link_data(
     shift = origin if part.parent == 0 else np.zeros(3)
     joint = dict(part.joint)
     if not joint.get("damping") and not joint.get("friction"):
-        joint |= _DEFAULT_JOINT_LOSSES["slide" if joint["type"] == "slide" else "hinge"]
+        joint |= _DEFAULT_JOINT_FRICTION["slide" if joint["type"] == "slide" else "hinge"]
     joint["start"] = min(max(0.0, joint["range"][0]), joint["range"][1])
     link: dict[str, Any] = {
         "name": labels[number],

@@ -12,9 +12,9 @@ import numpy as np
 from ..core.geometry.closed_surface import is_closed
 from ..core.geometry.se3 import Array
 from ..core.geometry.stl import encode_stl
-from .convex_decomposition import Body, ReportShare, convex_hull, convexity, decompose_body
+from .convex_decomposition import ShareCallback, TriangleMesh, convex_hull, convexity, decompose_body
 from .part_surfaces import merged_surface
-from .primitive_fit import Scan, SolidFit, evaluate_fit, fit_hollow, fit_solid
+from .primitive_fit import Scan, SolidFit, evaluate_fit, fit_solid, fit_vessel
 from .primitives import primitive_data
 from .readers.object_parts import Surface
 
@@ -47,7 +47,7 @@ def collision_geometry(
     shapes: tuple[Mapping[str, Any] | Surface, ...] | None,
     collision: CollisionMode,
     cache: Path,
-    share: ReportShare,
+    share: ShareCallback,
 ) -> CollisionGeometry:
     """Return a part's collision geometry.
 
@@ -76,10 +76,10 @@ def collision_geometry(
 
 
 def _geometry_from_shapes(
-    name: str, shapes: tuple[Mapping[str, Any] | Surface, ...], cache: Path, share: ReportShare
+    name: str, shapes: tuple[Mapping[str, Any] | Surface, ...], cache: Path, share: ShareCallback
 ) -> CollisionGeometry:
     parts: list[Mapping[str, Any]] = [shape for shape in shapes if not isinstance(shape, Surface)]
-    bodies: list[Body] = []
+    bodies: list[TriangleMesh] = []
     for shape in shapes:
         if isinstance(shape, Surface):
             body = merged_surface((shape,))
@@ -89,7 +89,7 @@ def _geometry_from_shapes(
     return CollisionGeometry("file", (*parts, *made.parts), made.files)
 
 
-def _geometry_from_bodies(name: str, kind: str, bodies: list[Body]) -> CollisionGeometry:
+def _geometry_from_bodies(name: str, kind: str, bodies: list[TriangleMesh]) -> CollisionGeometry:
     parts, files = list[Mapping[str, Any]](), {}
     for number, (vertices, faces) in enumerate(bodies):
         file = f"{name}_{'sdf' if kind == 'sdf' else 'part'}_{number}.stl"
@@ -99,12 +99,12 @@ def _geometry_from_bodies(name: str, kind: str, bodies: list[Body]) -> Collision
     return CollisionGeometry(kind, tuple(parts), files)
 
 
-def fit_primitives(body: Body) -> SolidFit:
+def fit_primitives(body: TriangleMesh) -> SolidFit:
     """Fit solid and hollow primitives, and return those with the smaller rms distance."""
     scan = Scan.from_mesh(*body)
     solid = fit_solid(scan.points)
     found = [evaluate_fit(solid.parts, scan.points)]
-    if hollow := fit_hollow(scan):
+    if hollow := fit_vessel(scan):
         fit, (x, y) = hollow
         # A config's ring must lie on the part's z axis.
         if abs(x) < 1e-4 and abs(y) < 1e-4:

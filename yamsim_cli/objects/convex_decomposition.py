@@ -22,7 +22,7 @@ from ..core.files.writing import scratch_directory, sha256_bytes, write_file
 from ..core.geometry.closed_surface import is_closed, merge_vertices, uniform_mass_properties
 from ..core.geometry.se3 import Array
 from ..core.geometry.stl import Faces
-from ..core.scene.assets.child_process import python_call, run_child
+from ..core.scene.assets.child_process import python_call_command, run_child
 from ..core.scene.assets.sources import SourceError
 from .part_surfaces import simplified_mesh
 
@@ -34,17 +34,17 @@ _FACE_COUNTS, _LIMIT_MM = (1_000, 2_000, 4_000, 8_000), 0.3
 # Found by experiment (docs/figures.md). `threshold`: remaining concavity over half the body's length. `parts`: maximum
 # number. The others limit the tree search of each cut.
 _SEARCH_OPTIONS = {"threshold": 0.05, "parts": 32, "iterations": 40, "nodes": 10, "depth": 2, "resolution": 1000}
-_LIMIT_S = 300.0  # s; several times the duration for some thousand triangles
+_TIME_LIMIT_S = 300.0  # s; several times the duration for some thousand triangles
 _MEMORY_BYTES = 8_000_000_000  # bytes, address space of the child
-_CORE_SECONDS = 1200  # s, CPU time of the child on all cores
+_MAX_CPU_SECONDS = 1200  # s, CPU time of the child on all cores
 
-ReportShare = Callable[[float], None]  # called with the completed share, 0 to 1
-Body = tuple[Array, Faces]  # vertices (n, 3), m; triangles (m, 3)
+ShareCallback = Callable[[float], None]  # called with the completed share, 0 to 1
+TriangleMesh = tuple[Array, Faces]  # vertices (n, 3), m; triangles (m, 3)
 
 
 def decompose_body(
-    body: Body, cache: Path, share: ReportShare = lambda done: None, limit_s: float = _LIMIT_S
-) -> list[Body]:
+    body: TriangleMesh, cache: Path, share: ShareCallback = lambda done: None, limit_s: float = _TIME_LIMIT_S
+) -> list[TriangleMesh]:
     """Return convex parts whose union approximates a body; `cache` is the folder of earlier results.
 
     Raises:
@@ -82,8 +82,8 @@ def decompose_body(
     return parts
 
 
-def _decompose_in_child(scratch: Path, share: ReportShare, limit_s: float) -> bytes:
-    call = python_call(run_decomposition, str(scratch))
+def _decompose_in_child(scratch: Path, share: ShareCallback, limit_s: float) -> bytes:
+    call = python_call_command(run_decomposition, str(scratch))
     furthest = 0.0
 
     def report_progress() -> int:
@@ -117,7 +117,7 @@ def run_decomposition(folder: str) -> None:
     import coacd
 
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
-    resource.setrlimit(resource.RLIMIT_CPU, (_CORE_SECONDS, _CORE_SECONDS))
+    resource.setrlimit(resource.RLIMIT_CPU, (_MAX_CPU_SECONDS, _MAX_CPU_SECONDS))
     scratch = Path(folder)
     how = json.loads((scratch / "how.json").read_bytes())
     with np.load(scratch / "body.npz", allow_pickle=False) as body:
@@ -144,7 +144,7 @@ def run_decomposition(folder: str) -> None:
     np.savez(scratch / "parts.npz", **arrays)
 
 
-def _read_bodies(file: Path) -> list[Body] | None:
+def _read_bodies(file: Path) -> list[TriangleMesh] | None:
     try:
         with np.load(file, allow_pickle=False) as stored:
             count = sum(name.startswith("v") for name in stored.files)
@@ -154,7 +154,7 @@ def _read_bodies(file: Path) -> list[Body] | None:
     return parts or None
 
 
-def convex_hull(body: Body) -> Body:
+def convex_hull(body: TriangleMesh) -> TriangleMesh:
     """Return the convex hull."""
     import manifold3d
 
@@ -162,7 +162,7 @@ def convex_hull(body: Body) -> Body:
     return np.array(found.vert_properties[:, :3], np.float64), np.array(found.tri_verts, np.int32)
 
 
-def convexity(body: Body) -> float:
+def convexity(body: TriangleMesh) -> float:
     """Return a closed body's volume over its convex hull's: 1 if convex."""
     around = uniform_mass_properties(*convex_hull(body)).volume
     return abs(uniform_mass_properties(*body).volume) / around if around > 0 else 1.0

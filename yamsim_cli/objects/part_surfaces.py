@@ -49,7 +49,7 @@ def simplified_mesh(
     return None
 
 
-def solid_or_sheet(vertices: Array, faces: Faces) -> tuple[UniformMassProperties, bool]:
+def mass_properties_and_is_solid(vertices: Array, faces: Faces) -> tuple[UniformMassProperties, bool]:
     """Return mass properties at 1 kg/m3, and whether the surface encloses a volume; else it is a sheet."""
     if is_closed(faces):
         inside = _solid_mass_properties(vertices, faces)

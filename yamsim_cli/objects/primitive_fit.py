@@ -24,18 +24,18 @@ _SAMPLES = 6000  # points of a surface; another random sample changes no fit by 
 _PARAMETER_COST = 3e-4  # m, cost of each parameter of a shape: a shape with more must fit that much better
 _DIMPLE_DEPTH = 0.0015  # m; points deeper under all tangent planes lie in a dimple, and are left out of a fit
 _TANGENT_PLANES = 600  # number of tangent planes around the points, in directions spread over the sphere
-_GROUND_REACH = 0.004  # m; a capsule's end with less clearance from the ground is moved to the ground
+_GROUND_SNAP_DISTANCE = 0.004  # m; a capsule's end with less clearance from the ground is moved to the ground
 _MAX_STEPS = 30  # iterations of a fit
 _DIFFERENCE_STEP = 1e-5  # step of the finite differences in each parameter, m or rad
-_MIN_GAIN = 1e-6  # relative reduction of the cost below which a fit stops
+_MIN_COST_REDUCTION = 1e-6  # relative reduction of the cost below which a fit stops
 
-_MIN_DEPTH_SHARE = 0.3  # depth of a vessel's inside over its height
+_MIN_INSIDE_DEPTH_SHARE = 0.3  # depth of a vessel's inside over its height
 _MAX_OUT_OF_ROUND = 0.004  # m, a vessel's radius from the middle of its range
-_MAX_DIP = 0.006  # m, descent of a vessel's inner surface from middle to rim
-_DIRECTIONS = 64  # directions from the opening's middle in which the inside is measured
+_MAX_INNER_DESCENT = 0.006  # m, descent of a vessel's inner surface from middle to rim
+_PROFILE_DIRECTIONS = 64  # directions from the opening's middle in which the inside is measured
 _TOLERANCES = (0.0008, 0.0012, 0.002, 0.003, 0.005)  # m, of a simplified profile, tried in order
 _MAX_SEGMENTS = 6  # of a vessel's profile
-_RING_BOXES = 24  # boxes per ring in collisions
+_BOXES_PER_RING = 24  # boxes per ring in collisions
 _MIN_WALL = 0.002  # m, of a ring; objects could pass through thinner walls
 
 Parts = tuple[Primitive, ...]
@@ -198,15 +198,15 @@ def _initial_capsules(points: Array, count: int) -> Array:
 
 @dataclass(frozen=True)
 class _LinearizedShape:
-    """A shape with the parameters `numbers`, and signed distances (n,) of points from it."""
+    """A shape with given parameters, and signed distances (n,) of points from it."""
 
     make: MakeParts
     points: Array
-    numbers: Array
+    parameters: Array
 
     @cached_property
     def distance(self) -> Array:
-        return signed_distance(self.make(self.numbers), self.points)
+        return signed_distance(self.make(self.parameters), self.points)
 
     @property
     def cost(self) -> float:
@@ -215,8 +215,8 @@ class _LinearizedShape:
     @cached_property
     def _jacobian(self) -> Array:
         """Derivatives (n, k) of the distances by the parameters, by finite differences."""
-        steps = _DIFFERENCE_STEP * np.eye(len(self.numbers))
-        nudged = (replace(self, numbers=self.numbers + step).distance for step in steps)
+        steps = _DIFFERENCE_STEP * np.eye(len(self.parameters))
+        nudged = (replace(self, parameters=self.parameters + step).distance for step in steps)
         return np.column_stack([(distance - self.distance) / _DIFFERENCE_STEP for distance in nudged])
 
     @property
@@ -241,7 +241,7 @@ class _ShapeProblem(LeastSquares[Array, _LinearizedShape]):
         return state + step
 
     def is_converged(self, state: Array, known: _LinearizedShape, step: Array, gain: Array) -> bool:
-        return bool(0 < gain < _MIN_GAIN * known.cost)
+        return bool(0 < gain < _MIN_COST_REDUCTION * known.cost)
 
 
 def _extend_to_ground(parts: Parts, ground: float) -> Parts:
@@ -254,7 +254,7 @@ def _extend_to_ground(parts: Parts, ground: float) -> Parts:
             case Capsule():
                 ends = {key: getattr(part, key) for key in ("start", "end")}
                 for key, (x, y, z) in ends.items():
-                    if z - part.radius - ground < _GROUND_REACH:
+                    if z - part.radius - ground < _GROUND_SNAP_DISTANCE:
                         ends[key] = (x, y, ground + part.radius)
                 laid.append(part.model_copy(update=ends))
             case Cylinder():
@@ -278,7 +278,7 @@ def _positive_size(value: float) -> float:
     return max(float(abs(value)), 1e-4)
 
 
-def fit_hollow(scan: Scan) -> tuple[SolidFit, tuple[float, float]] | None:
+def fit_vessel(scan: Scan) -> tuple[SolidFit, tuple[float, float]] | None:
     """Fit a floor and rings to a round, upright vessel; None if the scan is none.
 
     Returns:
@@ -291,7 +291,7 @@ def fit_hollow(scan: Scan) -> tuple[SolidFit, tuple[float, float]] | None:
     if not _is_round(points, radius):
         return None
     profile = _inner_profile(points, radius, scan.normals, float(high[2]))
-    if profile is None or profile[-1, 1] - profile[0, 1] < _MIN_DEPTH_SHARE * (high[2] - low[2]):
+    if profile is None or profile[-1, 1] - profile[0, 1] < _MIN_INSIDE_DEPTH_SHARE * (high[2] - low[2]):
         return None
     corners = next(
         found for tolerance in _TOLERANCES if len(found := simplify_polyline(profile, tolerance)) <= _MAX_SEGMENTS + 1
@@ -317,11 +317,11 @@ def _inner_profile(points: Array, radius: Array, normals: Array, rim: float) -> 
         return None
     # The angle seen from just above the opening orders the inside's points outwards.
     angle = np.arctan2(radius[inside], rim + 0.002 - points[inside, 2])
-    bins = (angle / angle.max() * (_DIRECTIONS - 1)).astype(int)
-    found = [(radius[inside][bins == k], points[inside, 2][bins == k]) for k in range(_DIRECTIONS)]
+    bins = (angle / angle.max() * (_PROFILE_DIRECTIONS - 1)).astype(int)
+    found = [(radius[inside][bins == k], points[inside, 2][bins == k]) for k in range(_PROFILE_DIRECTIONS)]
     profile = np.array([(np.median(r), np.median(z)) for r, z in found if len(r) >= 3])
     # Reject an upside-down lid, whose middle is above its edge.
-    rises = len(profile) >= 8 and (np.maximum.accumulate(profile[:, 1]) - profile[:, 1]).max() < _MAX_DIP
+    rises = len(profile) >= 8 and (np.maximum.accumulate(profile[:, 1]) - profile[:, 1]).max() < _MAX_INNER_DESCENT
     return profile if rises else None
 
 
@@ -337,7 +337,7 @@ def _vessel_parts(corners: Array, foot: float, wall: float) -> tuple[Primitive, 
             inner=(float(r0 if k else edge - wall / 2), float(z0 if k else top)),
             outer=(float(r1), float(z1)),
             thickness=wall,
-            segments=_RING_BOXES,
+            segments=_BOXES_PER_RING,
         )
         for k, ((r0, z0), (r1, z1)) in enumerate(itertools.pairwise(corners[1:]))
         if r1 - r0 > 1e-5

@@ -14,7 +14,7 @@ from ..core.geometry.height_map import crossings_along_z
 from ..core.geometry.se3 import Array, quat_from_rotation
 from ..core.geometry.stl import Faces
 
-_CELLS = 90  # grid points along the longest side of a filled box
+_GRID_POINTS_PER_SIDE = 90  # grid points along the longest side of a filled box
 _MIN_STEP = 5e-4  # m, between grid points
 
 
@@ -75,7 +75,7 @@ class PointBody:
     @classmethod
     def from_primitives(cls, parts: Sequence[Primitive], low: Array, high: Array) -> PointBody:
         """Fill primitives within the box from `low` to `high` (3,), m."""
-        step = max(float((high - low).max()) / _CELLS, _MIN_STEP)
+        step = max(float((high - low).max()) / _GRID_POINTS_PER_SIDE, _MIN_STEP)
         counts = np.ceil((high - low) / step).astype(int)
         # A centred grid gives symmetric points for symmetric primitives.
         axes = [m + step * (np.arange(n) - (n - 1) / 2) for m, n in zip((low + high) / 2, counts, strict=True)]
@@ -86,7 +86,7 @@ class PointBody:
     def from_mesh(cls, vertices: Array, faces: Faces) -> PointBody:
         """Fill a closed surface of triangles (m, 3) over vertices (n, 3), m."""
         low, high = vertices.min(axis=0), vertices.max(axis=0)
-        step = max(float((high - low).max()) / _CELLS, _MIN_STEP)
+        step = max(float((high - low).max()) / _GRID_POINTS_PER_SIDE, _MIN_STEP)
         # Vertical lines through an edge would cross two triangles; the irregular shift avoids them.
         axes = [(a + b) / 2 + step * (np.arange(-60, 61) + 0.0137) for a, b in zip(low, high, strict=True)]
         x, y = (

@@ -22,9 +22,9 @@ from .readers.object_parts import Surface, SurfaceMaterial
 _MAX_FACES = 20_000  # triangles that render fast; larger surfaces are reduced within LIMIT_MM
 _FACE_COUNTS = (6_000, 12_000, 24_000, 48_000)  # triangles of a reduced surface, tried in order
 _CELL_SIZE = 0.0006  # m, finest cells in which colours are averaged; each level doubles their side
-_CELL_LEVELS = 6
+_MAX_GRID_LEVELS = 6
 _MAX_SIDE = 4096  # px, width of a baked texture
-_TILE_RANGE = (2, 16)  # px, side of a triangle's square in a texture
+_TRIANGLE_TILE_RANGE = (2, 16)  # px, side of a triangle's square in a texture
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def _mesh_arrays(group: tuple[Surface, ...], material: SurfaceMaterial) -> tuple
     ):
         if not textured:
             return (*fewer, None, None)
-        return (*fewer, *baked_colours(group, fewer))
+        return (*fewer, *bake_surface_colours(group, fewer))
     if not textured:
         return vertices, faces, None, None
     starts = np.cumsum([0, *(len(surface.vertices) for surface in group[:-1])])
@@ -99,7 +99,7 @@ def obj_bytes(vertices: ArrayLike, faces: Faces, uv: ArrayLike) -> bytes:
     return text.getvalue().encode()
 
 
-def baked_colours(source: Sequence[Surface], target: tuple[Array, Faces]) -> tuple[Array, bytes]:
+def bake_surface_colours(source: Sequence[Surface], target: tuple[Array, Faces]) -> tuple[Array, bytes]:
     """Return uv (m, 3, 2) and a PNG that give a mesh the colours of nearby textured surfaces.
 
     Args:
@@ -110,7 +110,7 @@ def baked_colours(source: Sequence[Surface], target: tuple[Array, Faces]) -> tup
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
     columns = int(np.ceil(np.sqrt(len(faces))))
-    tile = int(np.clip(np.ceil(np.sqrt(2 * area / len(faces)) / _CELL_SIZE), *_TILE_RANGE))
+    tile = int(np.clip(np.ceil(np.sqrt(2 * area / len(faces)) / _CELL_SIZE), *_TRIANGLE_TILE_RANGE))
     tile = max(2, min(tile, _MAX_SIDE // columns))
     rows = -(-len(faces) // columns)
     x, y = tile * (np.arange(len(faces)) % columns), tile * (np.arange(len(faces)) // columns)
@@ -162,7 +162,7 @@ class _ColourCells:
     def __init__(self, places: Array, colours: NDArray[np.uint8]) -> None:
         self._low = places.min(axis=0) - 1e-3
         self._levels = []
-        for level in range(_CELL_LEVELS):
+        for level in range(_MAX_GRID_LEVELS):
             keys = self._cell_keys(places, level)
             found, index = np.unique(keys, return_inverse=True)
             sums = np.stack([np.bincount(index, colours[:, k].astype(float)) for k in range(3)], axis=1)
@@ -175,7 +175,7 @@ class _ColourCells:
 
     def mean_colours(self, places: Array) -> NDArray[np.uint8]:
         colours = np.full((len(places), 3), 128.0)
-        for level in reversed(range(_CELL_LEVELS)):
+        for level in reversed(range(_MAX_GRID_LEVELS)):
             found, means = self._levels[level]
             keys = self._cell_keys(places, level)
             at = np.searchsorted(found, keys).clip(0, len(found) - 1)

@@ -11,13 +11,13 @@ from ..core.config.objects.primitives import Box, Capsule, Cylinder, Primitive, 
 from ..core.files.documents.yaml_document import dump_yaml
 from ..core.geometry.se3 import Array
 from .overhead_grasps import overhead_grasp
-from .primitive_fit import Scan, SolidFit, fit_hollow, fit_solid
+from .primitive_fit import Scan, SolidFit, fit_solid, fit_vessel
 from .primitives import PointBody, primitive_data
 
 MIN_VESSEL_DEPTH = 0.03  # m; objects go "in" a vessel at least this deep, else "on" it
 # Rolling friction (m) of spheres and capsules over their radius: they stay still on a slope of 3 degrees, as real fruit
 # and felt balls do.
-ROLLING_SHARE = 0.05
+ROLLING_FRICTION_SHARE = 0.05
 _FRICTION = (0.8, 0.005)  # MuJoCo's: sliding; torsional, m
 
 
@@ -47,7 +47,7 @@ def build_ycb_config(thing: ScannedObject, scan: Scan) -> YcbConfig:
 
     A vessel's origin is on its axis at its lowest point, any other object's is its centre of mass.
     """
-    solid, hollow = fit_solid(scan.points), fit_hollow(scan)
+    solid, hollow = fit_solid(scan.points), fit_vessel(scan)
     if hollow and hollow[0].rms < solid.rms:
         fit, axis = hollow
         origin = np.array([*axis, scan.lowest_height])
@@ -96,7 +96,7 @@ def _contact_data(parts: tuple[Primitive, ...]) -> dict[str, Any]:
     round_ = [part.radius for part in parts if isinstance(part, Sphere | Capsule)]
     if len(round_) < len(parts):
         return {"friction": [*_FRICTION, 0.0005], "condim": 4}
-    return {"friction": [*_FRICTION, round(ROLLING_SHARE * min(round_), 4)], "condim": 6}
+    return {"friction": [*_FRICTION, round(ROLLING_FRICTION_SHARE * min(round_), 4)], "condim": 6}
 
 
 def _primitive_centre_of_mass(part: Primitive) -> Array | None:
@@ -111,18 +111,18 @@ def _primitive_centre_of_mass(part: Primitive) -> Array | None:
 
 
 def _translate_primitive(part: Primitive, by: Array) -> Primitive:
-    def shifted_point(place: tuple[float, float, float]) -> tuple[float, float, float]:
+    def shift_point(place: tuple[float, float, float]) -> tuple[float, float, float]:
         x, y, z = (round(float(a + b), 5) for a, b in zip(place, by, strict=True))
         return x, y, z
 
     match part:
         case Capsule():
-            return part.model_copy(update={"start": shifted_point(part.start), "end": shifted_point(part.end)})
+            return part.model_copy(update={"start": shift_point(part.start), "end": shift_point(part.end)})
         case Ring():
             edges = {key: (getattr(part, key)[0], getattr(part, key)[1] + float(by[2])) for key in ("inner", "outer")}
             return part.model_copy(update=edges)
         case _:
-            return part.model_copy(update={"centre": shifted_point(part.centre)})
+            return part.model_copy(update={"centre": shift_point(part.centre)})
 
 
 def _lowest_height(part: Primitive) -> float:

@@ -91,10 +91,10 @@ class PrintedPage:
 
 
 _PAGE_MARGIN = 12.0  # mm, edge where most printers cannot print
-_TITLE_SIZE = 6.0  # mm
-_LINE_STEP = 5.2  # mm, between lines of text
-_HEADER_HEIGHT = 12.0 + 4 * _LINE_STEP  # mm, title and four lines above the board
-_RULER_LENGTH = 100.0  # mm
+_TITLE_TEXT_HEIGHT = 6.0  # mm
+_TEXT_LINE_SPACING = 5.2  # mm, between lines of text
+_HEADER_HEIGHT = 12.0 + 4 * _TEXT_LINE_SPACING  # mm, title and four lines above the board
+_RULER_LENGTH = 100.0  # mm, of the printed rulers, by which a print's scale is checked
 _RULER_COLUMN = 14.0  # mm, width for the upright ruler
 _FOOTER_HEIGHT = 40.0  # mm, level ruler, axes and text below the board
 _MIN_QUIET_ZONE = 5.0  # mm, white zone around the board
@@ -143,7 +143,9 @@ def board_sheet(board: Board, owner: str, paper: Paper) -> PrintedPage:
 
 
 def _header_marks(board: Board, owner: str, paper: Paper) -> Iterator[PageMark]:
-    yield PageText(_PAGE_MARGIN, _PAGE_MARGIN + _TITLE_SIZE, f"{owner}: {board.name}", _TITLE_SIZE, bold=True)
+    yield PageText(
+        _PAGE_MARGIN, _PAGE_MARGIN + _TITLE_TEXT_HEIGHT, f"{owner}: {board.name}", _TITLE_TEXT_HEIGHT, bold=True
+    )
     lines = (
         f"Markers {board.marker_ids[0]} to {board.marker_ids[-1]}, row by row from the top left "
         f"({board.columns} x {board.rows}), of "
@@ -154,7 +156,7 @@ def _header_marks(board: Board, owner: str, paper: Paper) -> Iterator[PageMark]:
         "Cut between the corner marks, and leave the white border on: detectors need it.",
     )
     for k, line in enumerate(lines, start=1):
-        yield PageText(_PAGE_MARGIN, _PAGE_MARGIN + 8 + k * _LINE_STEP, line)
+        yield PageText(_PAGE_MARGIN, _PAGE_MARGIN + 8 + k * _TEXT_LINE_SPACING, line)
 
 
 def _printed_markers(board: Board, cells: NDArray[np.bool_], left: float, top: float) -> Iterator[PageMark]:
@@ -193,7 +195,7 @@ def _horizontal_ruler(x: float, y: float) -> Iterator[PageMark]:
         "to what you find.",
     )
     for k, line in enumerate(lines):
-        yield PageText(x, y + 14 + k * _LINE_STEP, line)
+        yield PageText(x, y + 14 + k * _TEXT_LINE_SPACING, line)
 
 
 def _vertical_ruler(x: float, y: float) -> Iterator[PageMark]:

@@ -16,17 +16,17 @@ Mask = NDArray[np.bool_]
 
 # Unit of length: a grain is one pixel or, in a large photo with larger details, several.
 _GRAINS_ACROSS = 1000  # approximate grains along the longer side of a large photo
-DEFAULT_REACH = 12.0  # grains, search distance for edges on either side of the outline
+DEFAULT_SEARCH_DISTANCE = 12.0  # grains, search distance for edges on either side of the outline
 _SAMPLES_PER_GRAIN = 2  # sample points per grain of the search line
 _POINT_SPACING = 3  # grains between outline points
 _MIN_SLOPE = 4.0  # grey levels per grain, gradient of an edge
 _MIN_SLOPE_SHARE = 0.4  # share of the search line's largest gradient, for an edge
 _TUKEY_CUTOFF = 4.685  # standard deviations, beyond which Tukey's biweight is 0 (95 % efficiency)
 _INDEPENDENT_POINTS = 60.0  # maximum number of outline points that count as independent
-_BORDER = 3  # grains from the picture's border; outlines there are ignored
+_IGNORED_BORDER = 3  # grains from the picture's border; outlines there are ignored
 _REFINEMENT_ROUNDS = 6  # rounds of a pose refinement
 # Each round's search distance over the one before; the last round's is too short for the edges of other objects.
-_REACH_RATIO = 0.62
+_SEARCH_DISTANCE_RATIO = 0.62
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ class MaskOutline:
 
 @dataclass(frozen=True)
 class EdgeOffsets:
-    """Offsets (n,), px, of the photo's edge along outline normals; NaN if none within `reach` (px)."""
+    """Offsets (n,), px, of the photo's edge along outline normals; NaN if none within `search_distance` (px)."""
 
     offsets: Array
-    reach: float
+    search_distance: float
 
     @property
     def found_share(self) -> float:
@@ -51,10 +51,10 @@ class EdgeOffsets:
 
     @property
     def median_distance(self) -> float | None:
-        """Median distance to the photo's edge, px, `reach` for a missing edge; None without an outline."""
+        """Median distance to the photo's edge, px, `search_distance` for a missing edge; None without an outline."""
         if len(self.offsets) == 0:
             return None
-        return float(np.median(np.nan_to_num(np.abs(self.offsets), nan=self.reach)))
+        return float(np.median(np.nan_to_num(np.abs(self.offsets), nan=self.search_distance)))
 
 
 def grain_px(shape: tuple[int, ...]) -> int:
@@ -78,7 +78,7 @@ def mask_outline(mask: Mask, others: Mask | None = None) -> MaskOutline:
         return MaskOutline(np.zeros((0, 2)), np.zeros((0, 2)))
     at = np.concatenate(chosen)
     height, width = mask.shape
-    border = _BORDER * grain
+    border = _IGNORED_BORDER * grain
     keep = (at >= border).all(axis=1) & (at[:, 0] < width - border) & (at[:, 1] < height - border)
     if others is not None:
         near = cv2.dilate(others.astype(np.uint8), np.ones((4 * grain + 1, 4 * grain + 1), np.uint8)) > 0
@@ -92,8 +92,13 @@ def mask_outline(mask: Mask, others: Mask | None = None) -> MaskOutline:
     return MaskOutline(at[clear] + 0.5 * normals, normals)
 
 
-def edge_offsets(grey: Grey, line: MaskOutline, reach: float = DEFAULT_REACH) -> EdgeOffsets:
-    """Return the offsets of edges of the photo `grey` (height, width) within `reach` (grains) of an outline."""
+def edge_offsets(
+    grey: Grey, line: MaskOutline, reach: float = DEFAULT_SEARCH_DISTANCE, falling: bool = False
+) -> EdgeOffsets:
+    """Return the offsets of edges of the photo `grey` (height, width) within `reach` (grains) of an outline.
+
+    With `falling`, only edges count whose outer side is darker.
+    """
     grain = grain_px(grey.shape)
     if len(line.points) == 0:
         return EdgeOffsets(np.zeros(0), reach * grain)
@@ -107,7 +112,8 @@ def edge_offsets(grey: Grey, line: MaskOutline, reach: float = DEFAULT_REACH) ->
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    slope = np.abs(profile[:, 2:] - profile[:, :-2]) * _SAMPLES_PER_GRAIN / 2
+    slope: NDArray[np.float32] = (profile[:, :-2] - profile[:, 2:]) * np.float32(_SAMPLES_PER_GRAIN / 2)
+    slope = np.maximum(slope, np.float32(0)) if falling else np.abs(slope)
     inner = steps[1:-1]
     peak = np.zeros_like(slope, dtype=bool)
     peak[:, 1:-1] = (slope[:, 1:-1] >= slope[:, :-2]) & (slope[:, 1:-1] > slope[:, 2:])
@@ -149,7 +155,7 @@ class PoseCorrection:
 
 
 @dataclass(frozen=True)
-class EdgeEquations:
+class PoseCorrectionEquations:
     """The normal equations (6, 6) and (6,) of a `PoseCorrection`, from edges along an outline."""
 
     normal: Array
@@ -158,7 +164,7 @@ class EdgeEquations:
 
 def edge_equations(
     line: MaskOutline, depth: Array, offsets: Array, K: Array, centre: Array, edge_sigma: float = 1.0
-) -> EdgeEquations:
+) -> PoseCorrectionEquations:
     """Return the equations of the pose step that moves an outline onto the photo's edges.
 
     Args:
@@ -181,11 +187,11 @@ def edge_equations(
     # Neighbouring points share an edge, so they are not independent.
     weight *= min(1.0, _INDEPENDENT_POINTS / max(len(off), 1)) / edge_sigma**2
     weighted = jacobian * weight[:, None]
-    return EdgeEquations(weighted.T @ jacobian, weighted.T @ off)
+    return PoseCorrectionEquations(weighted.T @ jacobian, weighted.T @ off)
 
 
 def solve_correction(
-    equations: Sequence[EdgeEquations], centre: Array, information: Array, so_far: Array
+    equations: Sequence[PoseCorrectionEquations], centre: Array, information: Array, so_far: Array
 ) -> PoseCorrection:
     """Return the step that moves outlines onto the photo's edges, with the pose from boards as prior.
 
@@ -199,6 +205,6 @@ def solve_correction(
     return PoseCorrection(np.linalg.solve(normal, gradient).astype(np.float64), centre)
 
 
-def search_radii() -> list[float]:
+def search_distances() -> list[float]:
     """Return the refinement rounds' decreasing search distances, grains."""
-    return [DEFAULT_REACH * _REACH_RATIO**k for k in range(_REFINEMENT_ROUNDS)]
+    return [DEFAULT_SEARCH_DISTANCE * _SEARCH_DISTANCE_RATIO**k for k in range(_REFINEMENT_ROUNDS)]

@@ -8,11 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from yamsim_cli.camera_effects.lens_distortion import project_points
+
 from ..core.geometry.board import Board
 from ..core.geometry.camera import CameraModel
 from ..core.geometry.se3 import Array
 from ..core.images.image import Image
-from .lens_distortion import project_points
 
 Labels = NDArray[np.uint8]
 
@@ -72,7 +73,7 @@ def write_lines(image: Image, lines: Sequence[str], busy: NDArray[np.bool_]) -> 
         if scale < _MIN_SCALE or (size[0] <= height and size[1] <= width):
             break
         scale *= 0.9
-    top, left = _freest_corner(busy, size)
+    top, left = _least_busy_corner(busy, size)
     plate = image[top : top + size[0], left : left + size[1]]
     plate[:] = (plate * 0.35).astype(np.uint8)
     for k, line in enumerate(lines, start=1):
@@ -80,7 +81,7 @@ def write_lines(image: Image, lines: Sequence[str], busy: NDArray[np.bool_]) -> 
         cv2.putText(image, line, at, _FONT, scale, (255, 255, 255), thickness, cv2.LINE_AA)
 
 
-def _freest_corner(busy: NDArray[np.bool_], size: tuple[int, int]) -> tuple[int, int]:
+def _least_busy_corner(busy: NDArray[np.bool_], size: tuple[int, int]) -> tuple[int, int]:
     """Return the top left of the corner area of `size` (rows, columns) with the fewest busy pixels."""
     rows, columns = min(size[0], busy.shape[0]), min(size[1], busy.shape[1])
     corners = [(top, left) for top in (0, busy.shape[0] - rows) for left in (0, busy.shape[1] - columns)]

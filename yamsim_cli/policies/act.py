@@ -27,8 +27,8 @@ from .policy_client import (
 )
 
 SCHEME = "act"
-_PATH = "/act"
-_ARRAY_KEY = "__numpy__"  # marks a JSON object as an array
+_URL_PATH = "/act"
+_ARRAY_MARKER_KEY = "__numpy__"  # marks a JSON object as an array
 
 
 class ActClient:
@@ -40,7 +40,7 @@ class ActClient:
     def __init__(self, url: str, timeout: float) -> None:
         parts = urlsplit(url)
         host, port = parse_address(url, SCHEME, 8202)
-        self._url, self._path = url, parts.path.rstrip("/") or _PATH
+        self._url, self._path = url, parts.path.rstrip("/") or _URL_PATH
         self._connection = http.client.HTTPConnection(host, port, timeout=timeout)
         try:
             self._connection.connect()
@@ -99,15 +99,15 @@ def load_json(data: bytes) -> Any:
 def _encode(value: object) -> dict[str, Any]:
     if isinstance(value, np.ndarray | np.generic):
         content = base64.b64encode(value.tobytes()).decode("ascii")
-        return {_ARRAY_KEY: content, "dtype": value.dtype.str, "shape": list(value.shape)}
+        return {_ARRAY_MARKER_KEY: content, "dtype": value.dtype.str, "shape": list(value.shape)}
     raise TypeError(f"{type(value).__name__} cannot be sent")
 
 
 def _decode(found: dict[str, Any]) -> Any:
-    if _ARRAY_KEY not in found:
+    if _ARRAY_MARKER_KEY not in found:
         return found
     try:
-        content = base64.b64decode(found[_ARRAY_KEY], validate=True)
+        content = base64.b64decode(found[_ARRAY_MARKER_KEY], validate=True)
     except (TypeError, ValueError, binascii.Error) as error:
         raise DamagedMessageError("the content of an array is not base64") from error
     whole = array_from_bytes(content, found.get("dtype"), found.get("shape"))

@@ -13,7 +13,7 @@ from ..core.errors import UsageError
 from ..core.geometry.se3 import Array
 from .policy_protocol import ActionChunk
 
-_ROUNDING = 1e-6  # ticks; smaller fractions are rounding errors
+_ROUNDING_TICKS = 1e-6  # ticks; smaller fractions are rounding errors
 _MAX_LATENCY = 60.0  # s, largest simulated latency
 
 
@@ -26,11 +26,14 @@ class ChunkSettings:
         ensemble: weight each overlapping chunk exp(-ensemble) times as much as the previous one; None uses the newest
             chunk alone.
         latency: simulated time from a request until its chunk acts, s; None for the measured time of the answer.
+        lead: for real-time chunking: number of remaining actions at which the next inference is requested, whose chunk
+            begins when this one is over; None if a chunk's times count from its request.
     """
 
     execute: int | None = None
     ensemble: float | None = None
     latency: float | None = 0.0
+    lead: int | None = None
 
 
 def read_latency(text: str) -> float | None:
@@ -62,13 +65,13 @@ class ChunkStats:
 @dataclass(frozen=True)
 class _TimedChunk:
     chunk: ActionChunk
-    requested: int  # control tick from which the times of the actions count
+    begin: float  # control tick from which the times of the actions count
     arrival_tick: int  # control tick from which the chunk acts
-    per_action: float  # duration of an action, ticks
+    ticks_per_action: float  # duration of an action, ticks
 
     def action_index(self, now: int) -> int:
         """Return the index of the action at tick `now`; `action_count` or more after the last."""
-        return math.floor((now - self.requested) / self.per_action + _ROUNDING)
+        return math.floor((now - self.begin) / self.ticks_per_action + _ROUNDING_TICKS)
 
     @property
     def action_count(self) -> int:
@@ -77,14 +80,15 @@ class _TimedChunk:
     @property
     def end_tick(self) -> int:
         """Control tick at which the last action is over."""
-        return self.requested + _round_up_to_ticks(self.action_count * self.per_action)
+        return _round_up_to_ticks(self.begin + self.action_count * self.ticks_per_action)
 
 
 class ChunkScheduler:
     """Decides when to request the next inference, and which action to execute at each tick.
 
     A chunk's times count from the request. Actions of a late chunk whose time has passed are skipped. After the last
-    action of all chunks, that action is held.
+    action of all chunks, that action is held. With `ChunkSettings.lead`, a chunk's times count from the end of the
+    previous chunk, or from its arrival if that is later.
 
     Args:
         tick: length of a control tick, s.
@@ -114,12 +118,22 @@ class ChunkScheduler:
     def add_chunk(self, chunk: ActionChunk, now: int, seconds: float) -> None:
         """Add the chunk that was requested at tick `now`, and took `seconds` s of real time."""
         chunking = self._chunking
-        per_action = float(self._hold) if chunk.period is None else chunk.period / self._tick
+        ticks_per_action = float(self._hold) if chunk.period is None else chunk.period / self._tick
         late = _round_up_to_ticks((seconds if chunking.latency is None else chunking.latency) / self._tick)
-        timed = _TimedChunk(chunk, now, now + late, per_action)
-        execute = min(chunking.execute or timed.action_count, timed.action_count)
+        if chunking.lead is None:
+            timed = _TimedChunk(chunk, now, now + late, ticks_per_action)
+            execute = min(chunking.execute or timed.action_count, timed.action_count)
+            following = now + _round_up_to_ticks(execute * ticks_per_action)
+        else:
+            before = self._chunks[-1] if self._chunks else None
+            begin = float(now + late)
+            if before is not None:
+                begin = max(begin, before.begin + before.action_count * before.ticks_per_action)
+            timed = _TimedChunk(chunk, begin, _round_up_to_ticks(begin), ticks_per_action)
+            # With the observation at the start of the action after which `lead` are left.
+            following = _round_up_to_ticks(begin + max(0, timed.action_count - chunking.lead - 1) * ticks_per_action)
         # At least a tick passes between two requests, and a request waits for the previous answer.
-        self._next = max(timed.arrival_tick, now + max(1, _round_up_to_ticks(execute * per_action)))
+        self._next = max(timed.arrival_tick, now + 1, following)
         self._chunks.append(timed)
         count = self.chunk_stats
         stale = min(timed.action_count, timed.action_index(timed.arrival_tick))
@@ -166,4 +180,4 @@ class ChunkScheduler:
 
 
 def _round_up_to_ticks(amount: float) -> int:
-    return math.ceil(amount - _ROUNDING)
+    return math.ceil(amount - _ROUNDING_TICKS)

@@ -34,7 +34,7 @@ class PolicyClient(Protocol):
 
 
 @dataclass(frozen=True)
-class PolicyStation:
+class PolicyScene:
     """Arms, cameras and objects of the scene in which a policy acts.
 
     Attributes:
@@ -61,6 +61,7 @@ class MappedPolicy:
     Attributes:
         wants: `objects` if the messages contain poses of objects.
         execute: default of executed actions of a chunk before the next inference; None for all.
+        lead: for real-time chunking: remaining actions at which the next inference is requested; None without it.
 
     Args:
         wanted: keys of the config whose values the client needs; None for all.
@@ -70,22 +71,25 @@ class MappedPolicy:
     """
 
     def __init__(
-        self, client: PolicyClient, config: PolicyConfig, station: PolicyStation, wanted: Sequence[str] | None = None
+        self, client: PolicyClient, config: PolicyConfig, station: PolicyScene, wanted: Sequence[str] | None = None
     ) -> None:
         self._client, self._config, self._station = client, config, station
         self.execute: int | None = getattr(client, "execute", None)
+        chunking = config.realtime_chunking
+        self.lead = None if chunking is None else chunking.lead
+        self._plan_end: Array | None = None  # last planned actions, as the client sent them
         sides = station.sides if config.arms == "all" else config.arms
         if missing := [side for side in sides if side not in station.sides]:
-            raise self._unfit_error("arms", f"there is no {missing[0]} arm; valid: {', '.join(station.sides)}")
+            raise self._mapping_error("arms", f"there is no {missing[0]} arm; valid: {', '.join(station.sides)}")
         if unused := [side for side in station.sides if side not in sides]:
-            raise self._unfit_error("arms", f"no output drives the {unused[0]} arm")
+            raise self._mapping_error("arms", f"no output drives the {unused[0]} arm")
         # Indices that reorder arms from the station to the client, and back.
         self._to_client = [station.sides.index(side) for side in sides]
         self._to_station = [sides.index(side) for side in station.sides]
         self._scale = np.ones((len(sides), station.drives))
         if config.gripper == "share":
             if not all(station.openings):
-                raise self._unfit_error("gripper", "an arm has no gripper, so openings cannot be shares")
+                raise self._mapping_error("gripper", "an arm has no gripper, so openings cannot be shares")
             self._scale[:, -1] = station.openings
         self._pictures = {
             key: (picture, station.cameras[camera])
@@ -95,7 +99,7 @@ class MappedPolicy:
         rows = [row.key for row in (config.state, config.environment_state) if row is not None]
         known = (*config.images, *rows)
         if lacking := [key for key in wanted or () if key not in known]:
-            raise self._unfit_error(
+            raise self._mapping_error(
                 "images", f"the policy asks for {lacking[0]!r}; {suggest_similar(lacking[0], known)}"
             )
         things = config.environment_state
@@ -107,7 +111,7 @@ class MappedPolicy:
 
     def reset(self, seed: int) -> None:
         """Begin a trial."""
-        self._seed = seed
+        self._seed, self._plan_end = seed, None
         self._client.begin_trial(seed)
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
@@ -118,11 +122,17 @@ class MappedPolicy:
         """Convert an observation to the client's message."""
         config = self._config
         message: dict[str, Any] = dict(config.constants)
+        row = (np.asarray(observation["joints"]).reshape(self._scale.shape) / self._scale)[self._to_client]
+        if config.gripper == "share":
+            row[:, -1] = np.clip(row[:, -1], 0.0, 1.0)
         if config.state is not None:
-            row = (np.asarray(observation["joints"]).reshape(self._scale.shape) / self._scale)[self._to_client]
-            if config.gripper == "share":
-                row[:, -1] = np.clip(row[:, -1], 0.0, 1.0)
             message[config.state.key] = row.ravel().astype(config.state.dtype)
+        if (chunking := config.realtime_chunking) is not None:
+            prefix = self._plan_end
+            if prefix is None:
+                welds = np.zeros(len(row) if config.actions.weld else 0)
+                prefix = np.tile(np.append(row, welds), (chunking.length, 1))
+            message |= {chunking.prefix_key: prefix.astype(np.float32), chunking.length_key: chunking.length}
         if config.environment_state is not None and self._has_things:
             message[config.environment_state.key] = self._object_poses(observation).astype(
                 config.environment_state.dtype
@@ -150,6 +160,13 @@ class MappedPolicy:
             )
         arms, drives = self._scale.shape
         rows = action_rows(answer[actions.key], actions.key, arms * (drives + actions.weld))
+        if (chunking := self._config.realtime_chunking) is not None:
+            if len(rows) <= chunking.length:
+                raise InvalidActionError(
+                    f"{actions.key} has {len(rows)} actions, and its first {chunking.length} repeat the plan: give more"
+                )
+            rows = rows[chunking.length : chunking.length + chunking.execute]
+            self._plan_end = rows[-chunking.length :]
         ctrl: Array = rows[:, : arms * drives].reshape(-1, arms, drives)[:, self._to_station] * self._scale
         period = (
             action_period(answer.get(actions.period_ms_key), actions.period_ms_key) if actions.period_ms_key else None
@@ -175,12 +192,12 @@ class MappedPolicy:
         found = next((name for name in picture.cameras if name in self._station.cameras), None)
         if found is None and (wanted is not None or not picture.optional):
             there = ", ".join(self._station.cameras)
-            raise self._unfit_error(
+            raise self._mapping_error(
                 f"images.{key}", f"there is no camera {' or '.join(picture.cameras)}; there is {there}"
             )
         return found
 
-    def _unfit_error(self, key: str, problem: str) -> UsageError:
+    def _mapping_error(self, key: str, problem: str) -> UsageError:
         return UsageError(f"--policy-config {self._config.name}: {key}: on rig {self._station.rig!r} {problem}")
 
 

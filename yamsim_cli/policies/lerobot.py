@@ -11,7 +11,9 @@ from ..core.images.resize import resize_image
 
 SCHEME = "lerobot"
 
-_INSTALL = "LeRobot is not installed: run `pip install 'lerobot>=0.4'` in an environment with yamsim and Python 3.12"
+_INSTALL_ADVICE = (
+    "LeRobot is not installed: run `pip install 'lerobot>=0.4'` in an environment with yamsim and Python 3.12"
+)
 
 
 def check_rows(message: Mapping[str, Any], expected: Mapping[str, tuple[int, ...]]) -> None:
@@ -49,7 +51,7 @@ class LeRobotClient:
         except ModuleNotFoundError as error:
             if (error.name or "").partition(".")[0] not in ("lerobot", "torch"):
                 raise
-            raise ResourceError(f"--policy {SCHEME}:{checkpoint}: {_INSTALL}") from error
+            raise ResourceError(f"--policy {SCHEME}:{checkpoint}: {_INSTALL_ADVICE}") from error
         self._torch = torch
         try:
             config = PreTrainedConfig.from_pretrained(checkpoint)

@@ -15,7 +15,7 @@ from .policy_client import (
     MAX_ANSWER_BYTES,
     DamagedMessageError,
     RemoteError,
-    ValueBudget,
+    ValueCounter,
     array_from_bytes,
     no_answer_error,
     parse_address,
@@ -155,7 +155,7 @@ def unpack_openpi(data: bytes) -> dict[str, Any]:
     import msgpack
 
     try:
-        budget = ValueBudget()
+        budget = ValueCounter()
         found = msgpack.unpackb(
             data,
             object_hook=lambda one: _decode(budget.spend(one)),

@@ -39,7 +39,7 @@ class RemoteError(RuntimeError):
         self.fault = PolicyFault(text, traceback[-_MAX_TRACEBACK:])
 
 
-class ValueBudget:
+class ValueCounter:
     """Limits the number of values in one message. msgpack calls `spend` for each container.
 
     Small containers take far more memory decoded than encoded, so the limit applies during decoding.

@@ -14,19 +14,19 @@ from ..core.files.documents.yaml_document import number_or_text
 from .policy_faults import describe_fault
 from .policy_protocol import IMAGE_REQUESTS, SCENE, STATE_REQUESTS, WRIST, Policy
 
-_USER_FORMS = "module:Class or file.py:Class"
+_USER_POLICY_FORMS = "module:Class or file.py:Class"
 # Policies of other programs: MolmoAct2's and GR00T's servers, openpi's, and LeRobot's checkpoints.
 EXTERNAL_FORMS = ("act://HOST:PORT", "ws://HOST:PORT", "lerobot:CHECKPOINT")
 POLICY_FORMS = (
-    f"give scripted, hold_still, replay:DATASET, {', '.join(EXTERNAL_FORMS)}, http://HOST:PORT, {_USER_FORMS}"
+    f"give scripted, hold_still, replay:DATASET, {', '.join(EXTERNAL_FORMS)}, http://HOST:PORT, {_USER_POLICY_FORMS}"
 )
 
-_WITHOUT_IMAGES = ("scripted", "hold_still", "replay")  # policies that need no rendering
+_POLICIES_WITHOUT_IMAGES = ("scripted", "hold_still", "replay")  # policies that need no rendering
 
 
-def sees_images(name: str) -> bool:
+def may_read_images(name: str) -> bool:
     """Whether the policy may read images, so that the machine must be able to render."""
-    return name.partition(":")[0] not in _WITHOUT_IMAGES
+    return name.partition(":")[0] not in _POLICIES_WITHOUT_IMAGES
 
 
 def is_external(name: str) -> bool:
@@ -37,21 +37,21 @@ def is_external(name: str) -> bool:
 
 def takes_keywords(name: str) -> bool:
     """Whether `name` is a class of the user, whose constructor may get keyword arguments."""
-    return name.partition(":")[0] not in (*_WITHOUT_IMAGES, "http", "https") and not is_external(name)
+    return name.partition(":")[0] not in (*_POLICIES_WITHOUT_IMAGES, "http", "https") and not is_external(name)
 
 
 def load_policy(
     name: str,
     folder: Path,
-    forms: str = f"give {_USER_FORMS}",
+    forms: str = f"give {_USER_POLICY_FORMS}",
     arguments: Mapping[str, Any] | None = None,
     *,
-    known_only: bool = False,
+    ignore_unknown_arguments: bool = False,
 ) -> Policy:
     """Load a policy of the user by `module:Class`, `file.py:Class`, or `file.py` with a single callable class.
 
-    Modules and files are first searched in `folder`. With `known_only`, keywords that the class does not accept are
-    dropped.
+    Modules and files are first searched in `folder`. With `ignore_unknown_arguments`, keywords that the class does not
+    accept are dropped.
     """
     place, _, attribute = name.partition(":")
     is_file = place.endswith(".py")
@@ -60,7 +60,7 @@ def load_policy(
     try:
         module = _load_file(folder / place) if is_file else _load_module(place, folder)
         found, keywords = _find_policy_class(module, attribute, name), dict(arguments or {})
-        made = found(**(_accepted_keywords(found, keywords) if known_only else keywords))
+        made = found(**(_accepted_keywords(found, keywords) if ignore_unknown_arguments else keywords))
     except UsageError:
         raise
     except Exception as error:

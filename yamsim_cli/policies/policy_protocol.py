@@ -23,7 +23,7 @@ STATE_REQUESTS = (OBJECTS, VELOCITIES)
 
 MAX_ACTIONS = 1000  # in one answer
 MIN_PERIOD, MAX_PERIOD = 1e-3, 10.0  # s, of one action
-_ANGLE = QuantityBounds("rad", -2 * math.pi, 2 * math.pi)  # rad; larger values are degrees
+_JOINT_ANGLE_BOUNDS = QuantityBounds("rad", -2 * math.pi, 2 * math.pi)  # rad; larger values are degrees
 _MAX_CHUNK_S = 100.0  # s: 1000 actions at 10 Hz; chunks are in memory until they run out
 
 # Keys of an observation. Values of two arms have the left arm's first.
@@ -150,7 +150,7 @@ def _check_angles(ctrl: Array) -> None:
         return
     largest = float(joints.flat[int(np.argmax(np.abs(joints)))])
     try:
-        _ANGLE.check(largest)
+        _JOINT_ANGLE_BOUNDS.check(largest)
     except ValueError as error:
         raise InvalidActionError(f"ctrl has a joint at {largest:g}, which {error}") from error
 

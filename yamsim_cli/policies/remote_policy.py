@@ -14,7 +14,7 @@ import numpy as np
 from yamsim_cli.core.extras import require_library
 
 from ..core.errors import ResourceError, UsageError
-from .policy_client import MAX_TEXT, RemoteError, ValueBudget, plain_numbers, read_body, request_context
+from .policy_client import MAX_TEXT, RemoteError, ValueCounter, plain_numbers, read_body, request_context
 from .policy_protocol import InvalidActionError, Observation
 
 PROTOCOL = 1  # a server refuses clients with another version
@@ -119,7 +119,7 @@ def unpack_message(data: bytes) -> Any:
     import msgpack
 
     try:
-        budget = ValueBudget()
+        budget = ValueCounter()
         return msgpack.unpackb(
             data,
             ext_hook=_unpack_array,

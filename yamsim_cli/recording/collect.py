@@ -16,15 +16,15 @@ from dataclasses import dataclass, replace
 from ..core.attempt_data import Attempt, AttemptJob, AttemptPayload, FailureCause, Outcome
 from ..core.config.recording import RecordConfig
 from ..core.dataset.dataset_paths import episode_name
-from ..core.dataset.records import attempt_record, episode_record
+from ..core.dataset.records import AttemptRecord, EpisodeRecord, attempt_record, episode_record
 from ..core.dataset.writing.ledger import missing_episode
 from ..core.dataset.writing.staged_writer import EpisodeWriter
 from ..core.errors import DatasetError, InterruptedJobError, PartialJobError
 from ..core.workers.executors import Executor, LostJobError
 from ..core.workers.stop_request import StopRequest
-from .retry_limit import AllStartsFail, RetryLimit
+from .retry_limit import AllStartsFailFunction, RetryLimit
 
-_LOOKAHEAD = 4  # attempts per worker beyond the oldest unwritten one; limits the episodes in memory
+_MAX_ATTEMPTS_AHEAD = 4  # attempts per worker beyond the oldest unwritten one; limits the episodes in memory
 _MAX_LOST_IN_A_ROW = 3  # lost attempts, after which the machine is considered at fault
 _STOP_SECONDS = 60.0  # s, for running attempts after a stop request
 _POLL_SECONDS = 0.5  # s between checks of the stop request
@@ -53,7 +53,7 @@ class Collector:
         sink: EpisodeWriter,
         callbacks: RecordCallbacks,
         stop: StopRequest,
-        no_better_start: AllStartsFail,
+        no_better_start: AllStartsFailFunction,
     ) -> None:
         self._config = config
         self._limit = RetryLimit(config, no_better_start)
@@ -87,7 +87,7 @@ class Collector:
         """Record until the dataset is complete. After a stop, running attempts have `_STOP_SECONDS` to finish."""
         self._report_progress()
         while self.attempts_needed:
-            while not self._stop.is_requested and executor.idle and self._can_start(executor):
+            while not self._stop.is_requested and executor.idle and self._may_start_attempt(executor):
                 executor.submit(AttemptJob(self._config.seed, self._next_attempt()))
             # Write after submitting: workers are busy meanwhile.
             if self._commit_finished():
@@ -95,6 +95,9 @@ class Collector:
             if self._stop.is_requested and (not executor.in_flight or self._stop.seconds_since_request > _STOP_SECONDS):
                 raise InterruptedJobError("interrupted")
             self._receive(executor)
+
+    def finish(self) -> None:
+        """Do what is left when all episodes are written: nothing in a recording."""
 
     def _receive(self, executor: EpisodeExecutor) -> None:
         try:
@@ -114,7 +117,7 @@ class Collector:
         for attempt in self._lost_attempts.keys() & self._finished.keys():
             self._restore_lost_episode(self._finished.pop(attempt))
         while (lost := min(self._sink.lost_lines, default=-1)) in self._finished:
-            self._log_again(self._finished.pop(lost))
+            self._log_restored_attempt(self._finished.pop(lost))
         # New episodes get numbers only when the outcomes of all earlier attempts are known.
         while not self._sink.lost_lines and self._next_is_finished:
             self._commit_attempt(self._finished.pop(len(self._sink.attempts)))
@@ -128,7 +131,7 @@ class Collector:
         attempt = len(self._sink.attempts)
         return attempt in self._finished and attempt not in self._uncertain_attempts
 
-    def _can_start(self, executor: EpisodeExecutor) -> bool:
+    def _may_start_attempt(self, executor: EpisodeExecutor) -> bool:
         """Whether to submit another attempt: at most the missing episodes, if all running attempts succeed."""
         if self._queue:
             return True
@@ -137,7 +140,9 @@ class Collector:
         promised = executor.in_flight + sum(payload.outcome.success for payload in self._finished.values())
         ahead = self._next - len(self._sink.attempts)
         # An uncertain attempt blocks writing until another attempt has finished.
-        near = ahead < _LOOKAHEAD * self._config.workers or (self._uncertain_attempts and not executor.in_flight)
+        near = ahead < _MAX_ATTEMPTS_AHEAD * self._config.workers or (
+            self._uncertain_attempts and not executor.in_flight
+        )
         return promised < self.remaining_episodes and bool(near)
 
     def _next_attempt(self) -> int:
@@ -166,8 +171,8 @@ class Collector:
     def _commit_attempt(self, payload: AttemptPayload) -> None:
         episode = self._sink.episodes if payload.outcome.success else None
         if episode is not None:
-            self._publish(payload, episode)
-        self._sink.log_attempt(attempt_record(payload, episode))
+            self._publish_episode(payload, episode)
+        self._sink.log_attempt(self._attempt_record(payload, episode))
         self.check_retry_limit()
 
     def check_retry_limit(self) -> None:
@@ -184,7 +189,7 @@ class Collector:
         lost = self._lost_attempts[payload.job.attempt]
         if not payload.outcome.success or lost.episode is None:
             raise self._not_reproduced_error(payload, lost.episode or 0)
-        self._publish(payload, lost.episode)
+        self._publish_episode(payload, lost.episode)
         del self._lost_attempts[lost.attempt]
 
     def _not_reproduced_error(self, payload: AttemptPayload, episode: int) -> DatasetError:
@@ -193,22 +198,28 @@ class Collector:
             f"({payload.outcome.cause}): this machine or its packages differ from those that recorded it"
         )
 
-    def _log_again(self, payload: AttemptPayload) -> None:
+    def _log_restored_attempt(self, payload: AttemptPayload) -> None:
         number = missing_episode(self._sink.attempts, payload.job.attempt)
         if payload.outcome.success and number is None:  # the original attempt had lost its workers
             detail = "its line in the ledger was lost; repeated, it succeeds, but the episodes after it do not count it"
             payload = replace(payload, outcome=Outcome(False, FailureCause.WORKER_LOST, detail), files={})
         episode = number if payload.outcome.success else None
         if episode is not None:
-            self._publish(payload, episode)
+            self._publish_episode(payload, episode)
         elif number is not None and number < self._sink.episodes and len(self._sink.lost_lines) == 1:
             # Later episodes exist, and no other attempt can have given this episode.
             raise self._not_reproduced_error(payload, number)
-        self._sink.log_attempt(attempt_record(payload, episode))
+        self._sink.log_attempt(self._attempt_record(payload, episode))
         self.check_retry_limit()
 
-    def _publish(self, payload: AttemptPayload, episode: int) -> None:
-        self._sink.publish_episode(episode_record(self._config, payload, episode), payload.files)
+    def _publish_episode(self, payload: AttemptPayload, episode: int) -> None:
+        self._sink.publish_episode(self._episode_record(payload, episode), payload.files)
+
+    def _episode_record(self, payload: AttemptPayload, episode: int) -> EpisodeRecord:
+        return episode_record(self._config, payload, episode)
+
+    def _attempt_record(self, payload: AttemptPayload, episode: int | None) -> AttemptRecord:
+        return attempt_record(payload, episode)
 
     def _compare_renderers(self, payload: AttemptPayload) -> None:
         """Warn if workers render with different OpenGL drivers, which give different image bytes."""

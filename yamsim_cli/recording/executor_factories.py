@@ -19,7 +19,7 @@ from ..core.episode.runner import AttemptRunner
 from ..core.files.resources import Locations
 from ..core.workers.executors import InlineExecutor
 from ..core.workers.process_pool import ProcessPool
-from ..core.workers.worker_pool import JOB_SECONDS
+from ..core.workers.worker_pool import JOB_TIMEOUT
 from .collect import EpisodeExecutor
 from .ray_pool import RayPool
 
@@ -38,7 +38,7 @@ class ExecutorFactory(Protocol):
 class ProcessExecutorFactory:
     """Runs attempts in processes of this machine, each up to `job_seconds`, s."""
 
-    job_seconds: float = JOB_SECONDS
+    job_seconds: float = JOB_TIMEOUT
 
     def open(self, session: Session, workers: int) -> EpisodeExecutor:
         """See `ExecutorFactory.open`."""
@@ -51,7 +51,7 @@ class RayExecutorFactory:
 
     address: str | None = None
     environ: Mapping[str, str] = field(default_factory=dict)
-    job_seconds: float = JOB_SECONDS
+    job_seconds: float = JOB_TIMEOUT
 
     def open(self, session: Session, workers: int) -> EpisodeExecutor:
         """See `ExecutorFactory.open`."""

@@ -15,9 +15,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Generic, cast
 
 from ..core.errors import ResourceError
-from ..core.workers.executors import J, R, RunnerFactory
+from ..core.workers.executors import J, OpenRunner, R
 from ..core.workers.job_server import STOP_SIGNALS, WorkerJobRunner
-from ..core.workers.worker_pool import JOB_SECONDS, BaseWorkerPool, Event, Worker, WorkerDied
+from ..core.workers.worker_pool import JOB_TIMEOUT, BaseWorkerPool, Worker, WorkerDied, WorkerEvent
 
 _CONNECT_SECONDS = 5.0  # s, to the head of a cluster
 
@@ -31,12 +31,12 @@ class RayPool(BaseWorkerPool[J, R]):
 
     def __init__(
         self,
-        factory: RunnerFactory[J, R],
+        factory: OpenRunner[J, R],
         workers: int,
         *,
         address: str | None = None,
         environ: Mapping[str, str] | None = None,
-        job_seconds: float = JOB_SECONDS,
+        job_seconds: float = JOB_TIMEOUT,
     ) -> None:
         super().__init__(_Cluster(factory, workers, address, dict(environ or {})), workers, job_seconds)
 
@@ -60,9 +60,7 @@ class _Actor(Generic[J]):
 class _Cluster(Generic[J, R]):
     """Starts Ray actors as workers, and waits for their answers."""
 
-    def __init__(
-        self, factory: RunnerFactory[J, R], workers: int, address: str | None, environ: dict[str, str]
-    ) -> None:
+    def __init__(self, factory: OpenRunner[J, R], workers: int, address: str | None, environ: dict[str, str]) -> None:
         self._ray = _import_ray()
         self._ours = not self._ray.is_initialized()
         if self._ours:
@@ -85,7 +83,7 @@ class _Cluster(Generic[J, R]):
         handle = self._actors.remote()
         return _Actor[J](self._ray, handle, f"ray-worker-{number}", handle.create_runner.remote(self._factory))
 
-    def wait(self, workers: Sequence[Worker[J]], timeout: float) -> list[tuple[Worker[J], Event[R]]]:
+    def wait(self, workers: Sequence[Worker[J]], timeout: float) -> list[tuple[Worker[J], WorkerEvent[R]]]:
         actors = [worker for worker in workers if isinstance(worker, _Actor)]
         awaited = {actor.answer: actor for actor in actors if actor.answer is not None}
         if not awaited:
@@ -94,10 +92,10 @@ class _Cluster(Generic[J, R]):
         ready, _ = self._ray.wait(list(awaited), num_returns=1, timeout=timeout)
         return [(awaited[answer], self._receive_event(awaited[answer])) for answer in ready]
 
-    def _receive_event(self, actor: _Actor[J]) -> Event[R]:
+    def _receive_event(self, actor: _Actor[J]) -> WorkerEvent[R]:
         answer, actor.answer = actor.answer, None
         try:
-            return cast("Event[R]", pickle.loads(self._ray.get(answer)))
+            return cast("WorkerEvent[R]", pickle.loads(self._ray.get(answer)))
         except self._ray.exceptions.RayError as error:
             return WorkerDied(f"was lost by Ray: {str(error).splitlines()[0]}")
 

@@ -3,13 +3,14 @@ from __future__ import annotations
 import contextlib
 import functools
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..core.config.recording import RecordConfig
 from ..core.config.session import Session
 from ..core.dataset.disk_errors import explain_disk_error
+from ..core.dataset.writing.staged_writer import EpisodeWriter
 from ..core.errors import InterruptedJobError, PartialJobError, ResourceError
 from ..core.scene.assets import load_lock
 from ..core.scene.build import with_mesh_descriptions
@@ -43,10 +44,30 @@ def record(
     began = time.monotonic()
     _check_certificates(session, callbacks)
     session = with_mesh_descriptions(session)
+    starts = functools.partial(all_starts_fail, session)
+
+    def make_collector(config: RecordConfig, sink: EpisodeWriter) -> Collector:
+        return Collector(config, sink, callbacks, stop, starts)
+
+    return fill_dataset(session, output, executor_factory, make_collector, callbacks, stop, began)
+
+
+def fill_dataset(
+    session: Session,
+    output: RecordingOutput,
+    executor_factory: ExecutorFactory,
+    make_collector: Callable[[RecordConfig, EpisodeWriter], Collector],
+    callbacks: RecordCallbacks,
+    stop: StopRequest,
+    began: float,
+) -> RecordReport:
+    """Open the output, and run a collector with the factory's workers until the dataset is complete.
+
+    `session` states its meshes. `began` is the start of the job on the monotonic clock, s.
+    """
     config = session.config
     with open_destination(config, output, callbacks) as destination:
-        starts = functools.partial(all_starts_fail, session)
-        collector = Collector(destination.config, destination.sink, callbacks, stop, starts)
+        collector = make_collector(destination.config, destination.episode_writer)
         with _report_on_early_end(config, collector, destination):
             if collector.attempts_needed:
                 # A resumed recording may have reached the retry limit in its earlier run.
@@ -54,8 +75,9 @@ def record(
                 workers = min(config.workers, collector.attempts_needed)
                 with executor_factory.open(session, workers) as executor:
                     collector.run(executor)
+            collector.finish()
             destination.finish(callbacks, stop)
-        sink, moved = destination.sink, destination.writer.moved_aside
+        sink, moved = destination.episode_writer, destination.writer.moved_aside
     return RecordReport(output.path, sink.episodes, len(sink.attempts), time.monotonic() - began, moved)
 
 
@@ -92,7 +114,7 @@ def _report_on_early_end(
         try:
             yield
         except BaseException:
-            destination.abandon()
+            destination.close_after_error()
             raise
     except (KeyboardInterrupt, InterruptedJobError):
         raise InterruptedJobError(f"interrupted: {progress_text()}") from None

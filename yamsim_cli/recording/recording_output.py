@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ..core.config.recording import RecordConfig
 from ..core.dataset.records import ManifestEntry
-from ..core.dataset.writing.directory_claim import OpenMode
+from ..core.dataset.writing.directory_claim import ExistingDatasetMode
 from ..core.dataset.writing.staged_writer import MAX_WAITING, EpisodeWriter, StagedWriter
 from ..core.dataset.writing.writer import DatasetWriter, config_for_new_episodes
 from ..core.errors import InterruptedJobError
@@ -24,7 +24,7 @@ from .collect import RecordCallbacks
 from .disk_space import EpisodeSize, check_space, files_per_episode
 
 _ROUND_TRIPS_PER_FILE = 6  # over sshfs: 60 ms at 10 ms per round trip
-_ROUND_TRIP = 0.01  # s, that warnings assume
+_NETWORK_ROUND_TRIP = 0.01  # s, that warnings assume
 _POLL_SECONDS = 0.5  # s between checks of the stop request
 _MIN_DURATION = 0.5  # frames of a successful episode, as a share of the typical number
 
@@ -34,7 +34,7 @@ class RecordingOutput:
     """Output directory of a recording. With a slow or remote `path`, episodes wait in the local directory `stage`."""
 
     path: Path
-    mode: OpenMode
+    mode: ExistingDatasetMode
     stage: Path | None = None
 
 
@@ -47,7 +47,7 @@ class OpenRecordingOutput:
         self._staged = staged
 
     @property
-    def sink(self) -> EpisodeWriter:
+    def episode_writer(self) -> EpisodeWriter:
         """The writer for new episodes."""
         return self._staged or self.writer
 
@@ -70,7 +70,7 @@ class OpenRecordingOutput:
                 raise InterruptedJobError("interrupted")
         self._staged.write_manifest()
 
-    def abandon(self) -> None:
+    def close_after_error(self) -> None:
         """Write the manifest and ignore disk errors; the next --resume writes it again."""
         with contextlib.suppress(OSError):
             (self._staged or self.writer).write_manifest()
@@ -83,9 +83,9 @@ def open_destination(
     """Open an output for the `with` block, exclusively."""
     # Warn before any access to the mount, which may not respond.
     mount = _check_mounts(config, output, callbacks)
-    resuming = output.mode is OpenMode.RESUME
+    resuming = output.mode is ExistingDatasetMode.RESUME
     if not resuming:
-        # Check the space first: a file written before would make the next recording fail.
+        # Check the space before anything is written: a leftover file would make the next recording fail.
         _check_space(config, output.path, {}, config.episodes, callbacks)
     data_config = config.data_config()
     reach = mount is None or mount.locks_reach_others
@@ -98,7 +98,11 @@ def open_destination(
         for repair in writer.repairs + (staged.repairs if staged else []):
             callbacks.warn(repair)
         destination = OpenRecordingOutput(config, writer, staged)
-        left = config.episodes - destination.sink.episodes + len(destination.sink.attempts_without_episode)
+        left = (
+            config.episodes
+            - destination.episode_writer.episodes
+            + len(destination.episode_writer.attempts_without_episode)
+        )
         if resuming:
             _check_space(config, writer.path, writer.entries, left, callbacks)
         if output.stage is not None:
@@ -113,13 +117,13 @@ def _check_mounts(config: RecordConfig, output: RecordingOutput, callbacks: Reco
     if output.stage is None and mount is not None:
         frames = _frames_per_episode(config, {})[1]
         files = files_per_episode(frames, len(config.recorded_cameras), truth=config.truth)
-        seconds = files * _ROUND_TRIPS_PER_FILE * _ROUND_TRIP
+        seconds = files * _ROUND_TRIPS_PER_FILE * _NETWORK_ROUND_TRIP
         callbacks.warn(
             f"{output.path} is on {mount.point}, which is {mount.kind} ({mount.source}): an episode has {files} files, "
             f"so writing one takes about {seconds:.0f} s at a latency of 10 ms, while workers wait. "
             "With --stage DIR, a local directory, yamsim writes episodes to DIR and moves them in the background."
         )
-    if output.mode is OpenMode.RESUME and mount is not None:
+    if output.mode is ExistingDatasetMode.RESUME and mount is not None:
         callbacks.warn(f"Every file in {output.path} is read and compared first; over a network that may take minutes.")
     if output.stage is not None and (other := network_mount(output.stage, mounts)) is not None:
         callbacks.warn(

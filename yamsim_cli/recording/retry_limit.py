@@ -24,15 +24,15 @@ from ..core.episode.simulator import SimulatorCache
 from ..core.errors import PartialJobError, SimulationError, YamsimError
 from ..core.expert.skills.program import build_program
 
-SAME_CAUSE_LIMIT = 10  # first attempts; if all fail for one cause, the starts of `STARTS_TO_CHECK` more are checked
-STARTS_TO_CHECK = 100  # attempts, after `SAME_CAUSE_LIMIT` failures
+SAME_CAUSE_LIMIT = 10  # first attempts; if all fail for one cause, the starts of `CHECKED_STARTS` more are checked
+CHECKED_STARTS = 100  # attempts, after `SAME_CAUSE_LIMIT` failures
 MIN_ATTEMPTS = 100  # a task without a success among these is considered impossible
 _ATTEMPTS_PER_EPISODE = 20  # a task that needs more per episode succeeds too rarely
 
 HAND_HEIGHT = 0.05  # m above the table, assumed height of grasps
 
 # Failure cause -> parts of a task to inspect.
-_TASK_PARTS: Mapping[str, str] = {
+_TASK_PARTS_OF_CAUSE: Mapping[str, str] = {
     FailureCause.NO_LAYOUT: "`starts` (their regions and `apart`), and the sizes of the objects",
     FailureCause.UNREACHABLE: "`starts`, the steps of `expert`, and where the rig's arms stand",
     FailureCause.SLIPPED: "the object's `grasp.friction` and mass",
@@ -51,13 +51,13 @@ class RetryLimitError(PartialJobError):
     """A task succeeds too rarely. Recorded episodes are complete, and `--resume` would not help."""
 
 
-AllStartsFail = Callable[[FailureCause, int], bool]  # (cause, first attempt) -> whether all starts fail
+AllStartsFailFunction = Callable[[FailureCause, int], bool]  # (cause, first attempt) -> whether all starts fail
 
 
 class RetryLimit:
     """Decides from the outcomes so far when to stop. The number of workers has no effect."""
 
-    def __init__(self, config: RecordConfig, no_better_start: AllStartsFail) -> None:
+    def __init__(self, config: RecordConfig, no_better_start: AllStartsFailFunction) -> None:
         self._name, self._wanted = config.task.name, config.episodes
         self._no_better_start = no_better_start
         self._checked = False
@@ -83,7 +83,7 @@ class RetryLimit:
         self._checked = True
         if not self._no_better_start(FailureCause(str(last.cause)), tried):
             return None
-        more = f"its first {tried} attempts all failed with one cause, and {STARTS_TO_CHECK} more have no better start"
+        more = f"its first {tried} attempts all failed with one cause, and {CHECKED_STARTS} more have no better start"
         return self._infeasible_task_error(more, attempts)
 
     def _infeasible_task_error(self, why: str, attempts: Sequence[AttemptRecord]) -> SimulationError:
@@ -99,7 +99,7 @@ class RetryLimit:
         commonest = counts[0][0]
         detail = next(each.outcome.detail for each in reversed(failed) if each.outcome.cause == commonest)
         listed = ", ".join(f"{count} {cause}" for cause, count in counts)
-        advice = _TASK_PARTS.get(commonest)
+        advice = _TASK_PARTS_OF_CAUSE.get(commonest)
         return f"{listed} ({detail})" + (f"; look at {advice}" if advice else "")
 
 
@@ -110,7 +110,7 @@ def all_starts_fail(session: Session, cause: FailureCause, first: int) -> bool:
     with SimulatorCache(session.without_meshes()) as simulators:
         return not any(
             _start_is_feasible(simulators, cause, AttemptJob(session.config.seed, number))
-            for number in range(first, first + STARTS_TO_CHECK)
+            for number in range(first, first + CHECKED_STARTS)
         )
 
 
@@ -125,12 +125,15 @@ def _start_is_feasible(simulators: SimulatorCache, cause: FailureCause, job: Att
         return not isinstance(places, str)
     task, cast = simulator.config.task, simulator.roles
     grasped = {
-        thing for skill in build_program(task, cast) if skill.NEEDS_HELD is False for _, thing in skill.roles()[:1]
+        thing
+        for skill in build_program(task, cast)
+        if skill.REQUIRES_HELD_OBJECT is False
+        for _, thing in skill.roles()[:1]
     }
     top = simulator.config.widened_table.top_height
     return all(
         simulator.expert_planner.is_place_reachable(np.array([*places[name].T[:2, 3], top + HAND_HEIGHT]))
         for thing in grasped
         for name in cast.objects_of(thing)
-        if places[name].on == TABLE
+        if places[name].support_name == TABLE
     )

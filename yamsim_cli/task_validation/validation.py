@@ -21,13 +21,13 @@ from ..core.episode.episode_rules import REPLAY_RULES
 from ..core.episode.execution import SimulatedAttempt, simulate_expert
 from ..core.episode.sampling import sample_attempt
 from ..core.episode.simulator import Simulator, SimulatorCache, open_episode
-from ..core.episode.trials import run_expert_trials
 from ..core.errors import SimulationError
 from ..core.expert.skills.program import parse_program
 from ..core.expert.skills.program_checks import program_contradiction
 from ..core.geometry.se3 import Array, quat_from_rotation, rotation_from_vector
 from ..core.progress import Progress
 from ..core.scene.compiled import CompiledScene, Ids
+from ..trials import run_expert_trials
 
 MIN_REACH = 0.9  # share of a start region's points that hands must reach
 _GRID_POINTS = 8  # along each side of a start region
@@ -37,7 +37,7 @@ _STILL_SECONDS = 2.0  # s at rest before the goal is evaluated, besides the hold
 _MAX_ATTEMPTS = 3  # of each check in which the goal must not be reached
 
 # Keys of a batch report that are also in a validation report.
-_BATCH_KEYS = (
+_BATCH_REPORT_KEYS = (
     "task", "rig", "seed", "n", "n_success", "success_rate", "wilson95", "causes", "recovered", "seconds",
     "core_seconds_per_trial",
 )  # fmt: skip
@@ -92,13 +92,13 @@ def check_holding_still(simulators: SimulatorCache, seed: int, n: int) -> TaskCh
         ticks = math.ceil(_STILL_SECONDS / task.timing.tick_seconds) + task.hold_ticks
         episode.run_commands(_hold_actions(simulator.scene, attempt.start, ticks))
         reached.append(episode.has_succeeded)
-    return _never_reached("hold_still", reached, "attempts in which nothing is done")
+    return _check_goal_never_reached("hold_still", reached, "attempts in which nothing is done")
 
 
 def check_open_fingers(simulators: SimulatorCache, seed: int, n: int) -> TaskCheck:
     """Check that an expert whose fingers do not close never reaches the goal."""
     task = simulators.session.config.task
-    if all(skill.NEEDS_HELD is not False for skill in parse_program(task.expert, task.typical_roles)):
+    if all(skill.REQUIRES_HELD_OBJECT is not False for skill in parse_program(task.expert, task.typical_roles)):
         return TaskCheck("open_fingers", None, None, "nothing is taken into a hand")
     reached = []
     for job in (AttemptJob(seed, number) for number in range(n)):
@@ -106,7 +106,7 @@ def check_open_fingers(simulators: SimulatorCache, seed: int, n: int) -> TaskChe
         attempt = sample_attempt(simulator, job)
         if attempt.start is not None:
             reached.append(simulate_expert(simulator, attempt, grips=False).outcome.success)
-    return _never_reached("open_fingers", reached, "attempts in which no finger closes")
+    return _check_goal_never_reached("open_fingers", reached, "attempts in which no finger closes")
 
 
 def check_near_misses(simulator: Simulator, done: SimulatedAttempt) -> TaskCheck:
@@ -141,7 +141,7 @@ def _near_miss_states(
     for miss in task.near_misses:
         for name in roles.objects_of(miss.thing):
             displaced = ended.copy()
-            _displace(scene, displaced, name, miss)
+            _displace_to_near_miss(scene, displaced, name, miss)
             yield f"the {name} {miss.what}", displaced
 
 
@@ -162,7 +162,7 @@ def _qpos_addresses(scene: CompiledScene, name: str) -> Ids:
     return np.arange(scene.object_qpos[name], scene.object_qpos[name] + 7)
 
 
-def _displace(scene: CompiledScene, qpos: Array, name: str, miss: NearMiss) -> None:
+def _displace_to_near_miss(scene: CompiledScene, qpos: Array, name: str, miss: NearMiss) -> None:
     turned = rotation_from_vector([math.radians(miss.tilt_deg), 0.0, 0.0])
     if name in scene.cloths:
         cloth = scene.cloths[name]
@@ -178,7 +178,7 @@ def _displace(scene: CompiledScene, qpos: Array, name: str, miss: NearMiss) -> N
         qpos[at + 3 : at + 7] = quat_from_rotation(turned @ R.reshape(3, 3))
 
 
-def _never_reached(name: str, reached: Sequence[bool], what: str) -> TaskCheck:
+def _check_goal_never_reached(name: str, reached: Sequence[bool], what: str) -> TaskCheck:
     if not reached:
         return TaskCheck(name, False, None, "no attempt had a start")
     count = sum(reached)
@@ -215,7 +215,7 @@ def validate_task(session: Session, minimum: float, progress: Progress) -> dict[
         checks.append(_near_misses(simulators, report))
     return {
         "ok": all(check.ok is not False for check in checks),
-        **{key: report[key] for key in _BATCH_KEYS},
+        **{key: report[key] for key in _BATCH_REPORT_KEYS},
         "checks": [asdict(check) for check in checks],
         "trials": [trial for trial in report["trials"] if not trial["outcome"]["success"]],
     }

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 console = Console(stderr=True)
 
-_LOG_SECONDS = 30.0  # s between progress lines without a terminal; a shorter job writes none
+_LOG_PERIOD_SECONDS = 30.0  # s between progress lines without a terminal; a shorter job writes none
 
 _end_notes = list[str]()  # for stderr at the end of the command
 
@@ -71,7 +71,7 @@ def print_line(text: str) -> None:
     sys.stdout.write(text + "\n")
 
 
-def print_text(marked: str, text: str, style: str) -> None:
+def print_wrapped_text(marked: str, text: str, style: str) -> None:
     """Write to stdout `marked` in the rich style `style`, and to its right `text`, wrapped."""
     from rich.table import Table
     from rich.text import Text
@@ -119,7 +119,7 @@ def progress_bar(label: str, unit: str, log_seconds: float | None = None) -> Ite
         with _terminal_progress_bar(label, unit) as advance:
             yield advance
     else:
-        yield _ProgressLog(label, unit, _LOG_SECONDS if log_seconds is None else log_seconds)
+        yield _ProgressLog(label, unit, _LOG_PERIOD_SECONDS if log_seconds is None else log_seconds)
 
 
 @contextmanager

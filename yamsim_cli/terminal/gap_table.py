@@ -7,9 +7,9 @@ from rich.console import Group, RenderableType
 from rich.constrain import Constrain
 
 from yamsim_cli.core.dataset.checks.problem import printable_line
-from yamsim_cli.real.gap.report import display_name
+from yamsim_cli.real.gap.report import joint_display_name
 
-from .tables import FactTable, ItemTable
+from .tables import ItemTable, NameValueTable
 
 _WIDTH = 80  # terminal columns
 _MAX_RECORDINGS = 10  # those with the largest errors; --json has all
@@ -23,7 +23,7 @@ def gap_tables(report: Mapping[str, Any]) -> RenderableType:
     return Constrain(Group(*parts), _WIDTH)
 
 
-def _overview_table(report: Mapping[str, Any]) -> FactTable:
+def _overview_table(report: Mapping[str, Any]) -> NameValueTable:
     recordings, worst = report["recordings"], report["worst"]
     called = recordings[0]["name"] if len(recordings) == 1 else str(len(recordings))
     rows = [
@@ -33,13 +33,13 @@ def _overview_table(report: Mapping[str, Any]) -> FactTable:
     ]
     for hand in report["hands"]:
         largest = f"at most {hand['max_mm']:.3g} mm and {hand['max_deg']:.2g} degrees"
-        rows.append((display_name(hand), f"{hand['rms_mm']:.3g} mm RMS, {largest}"))
-    joint = f"{display_name({'arm': worst['arm'], 'name': worst['joint']})}: {worst['error_rad'] * 1000:.3g} mrad"
+        rows.append((joint_display_name(hand), f"{hand['rms_mm']:.3g} mm RMS, {largest}"))
+    joint = f"{joint_display_name({'arm': worst['arm'], 'name': worst['joint']})}: {worst['error_rad'] * 1000:.3g} mrad"
     frame = f"frame {worst['frame']} of {printable_line(worst['recording'])}"
     rows.append(("worst", f"{joint} at {worst['time_s']:.2f} s, {frame}"))
     if pictures := report.get("pictures"):
         rows.append(("photos", _photo_text(pictures)))
-    return FactTable(rows)
+    return NameValueTable(rows)
 
 
 def _photo_text(pictures: Mapping[str, Any]) -> str:
@@ -62,7 +62,11 @@ def _joint_table(report: Mapping[str, Any]) -> ItemTable:
     for joint in report["joints"]:
         delay = "" if joint["delay_s"] is None else f"{round(joint['delay_s'] * 1000, 1) + 0.0:.1f}"
         table.add_row(
-            display_name(joint), *_error_cells(joint), delay, _mrad(joint, "sag_rad"), _mrad(joint, "overshoot_rad")
+            joint_display_name(joint),
+            *_error_cells(joint),
+            delay,
+            _mrad(joint, "sag_rad"),
+            _mrad(joint, "overshoot_rad"),
         )
     return table
 
@@ -83,7 +87,7 @@ def _recording_table(report: Mapping[str, Any]) -> ItemTable:
             printable_line(row["name"]),
             _mrad(row, "rms_rad"),
             _mrad(row, "max_rad"),
-            display_name({"arm": worst["arm"], "name": worst["joint"]}),
+            joint_display_name({"arm": worst["arm"], "name": worst["joint"]}),
             f"{worst['time_s']:.2f}",
         )
     return table

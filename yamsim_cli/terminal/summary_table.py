@@ -11,7 +11,7 @@ from yamsim_cli.core.dataset.checks.problem import printable_line
 from yamsim_cli.core.errors import file_size
 from yamsim_cli.datasets.dataset_page import group_by_code, problem_counts
 
-from .tables import FactTable, ItemTable
+from .tables import ItemTable, NameValueTable
 
 _WIDTH = 80  # terminal columns
 _MAX_EXAMPLES = 2  # for each problem code; --json has all
@@ -31,7 +31,7 @@ def summary_tables(report: Mapping[str, Any]) -> RenderableType:
     return Constrain(Group(*parts), _WIDTH)
 
 
-def _figure_table(report: Mapping[str, Any]) -> FactTable:
+def _figure_table(report: Mapping[str, Any]) -> NameValueTable:
     rows: list[tuple[str, str]] = []
 
     def add_row(name: str, value: str) -> None:
@@ -58,7 +58,7 @@ def _figure_table(report: Mapping[str, Any]) -> FactTable:
     for key, label in (("dxy_m", "off centre"), ("dz_m", "above target")):
         if spread := report[key]:
             add_row(label, ", ".join(f"{name} {spread[k] * 1000:.1f} mm" for k, name in _STATISTIC_LABELS.items()))
-    return FactTable(rows)
+    return NameValueTable(rows)
 
 
 def _success_rate_table(report: Mapping[str, Any]) -> ItemTable:

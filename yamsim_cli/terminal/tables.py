@@ -17,7 +17,7 @@ _MAX_NAME_SHARE = 0.4  # of a narrow terminal's width; longer names have their v
 Item = Mapping[str, Any]
 
 
-class FactTable:
+class NameValueTable:
     """Table of names and values; narrow terminals show values below long names."""
 
     def __init__(self, rows: Iterable[tuple[str | Text, str | Text]], title: str | None = None) -> None:
@@ -71,7 +71,7 @@ class ItemTable:
         for first, *others in self._rows:
             yield first
             named = zip(self._headings[1:], others, strict=True)
-            yield _indent_block(FactTable((name, cell) for name, cell in named if cell.plain))
+            yield _indent_block(NameValueTable((name, cell) for name, cell in named if cell.plain))
 
     def _narrowest_width(self) -> int:
         columns = zip(map(_plain_text, self._headings), *self._rows, strict=True)
@@ -118,7 +118,9 @@ def print_item(item: Item, json: bool, words: Mapping[str, Callable[[Any], str]]
     known_words = words or {}
     known = {key: value for key, value in item.items() if value is not None and value != []}
     print_table(
-        FactTable((key.replace("_", " "), known_words.get(key, format_value)(value)) for key, value in known.items())
+        NameValueTable(
+            (key.replace("_", " "), known_words.get(key, format_value)(value)) for key, value in known.items()
+        )
     )
 
 
@@ -149,7 +151,7 @@ def _heading(text: str) -> Text:
     return Text(f"\n{text}", style="bold")
 
 
-def _indent_block(what: Text | FactTable) -> Padding:
+def _indent_block(what: Text | NameValueTable) -> Padding:
     from rich.padding import Padding
 
     return Padding(what, (0, 0, 0, 2))

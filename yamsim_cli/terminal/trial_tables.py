@@ -5,27 +5,29 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .console import note_moved, progress_bar
-from .tables import FactTable
+from .tables import NameValueTable
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.recording import RecordConfig
-    from yamsim_cli.core.episode.trials import FilmedTrial, TrialVideoWriter
     from yamsim_cli.core.progress import Progress
+    from yamsim_cli.trials import FilmedTrial, TrialVideoWriter
 
 
-def trials_table(report: dict[str, Any]) -> FactTable:
+def trials_table(report: dict[str, Any]) -> NameValueTable:
     """Return a table of a batch of trials, the result of `run_batch`."""
-    return FactTable([("trials", str(report["n"])), *_success_rows(report, report), *_batch_rows(report)])
+    return NameValueTable([("trials", str(report["n"])), *_success_rows(report, report), *_batch_rows(report)])
 
 
-def evaluation_table(report: dict[str, Any]) -> FactTable:
+def evaluation_table(report: dict[str, Any]) -> NameValueTable:
     """Return a table of a policy's `evaluation_report`."""
-    return FactTable([("policy", report["policy"]), *_success_rows(report, report["stats"]), *_evaluation_rows(report)])
+    return NameValueTable(
+        [("policy", report["policy"]), *_success_rows(report, report["stats"]), *_evaluation_rows(report)]
+    )
 
 
 def open_films(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialVideoWriter:
     """Return a writer of trial videos. An unusable path raises an error now, before any trial runs."""
-    from yamsim_cli.core.episode.trials import TrialVideoWriter
+    from yamsim_cli.trials import TrialVideoWriter
 
     timing = settings.task.timing
     return TrialVideoWriter(path, timing.tick_seconds * timing.ticks_per_frame, overwrite=overwrite)

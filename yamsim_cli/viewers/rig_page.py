@@ -19,7 +19,7 @@ from .viewpoint import Viewpoint
 
 _STATUS_PERIOD = 1.0  # s, between updates
 _STEP = 0.001  # rad or m, of the sliders
-_MARGINS = (0.2, 1.2)  # m, range of the slider for the distance between two bases, which touch below 0.2
+_MARGIN_SLIDER_RANGE = (0.2, 1.2)  # m, range of the slider for the distance between two bases, which touch below 0.2
 
 
 class CameraPictures(Protocol):
@@ -83,7 +83,7 @@ class RigPage(ScenePage):
         rig = self._live.rig
         if len(rig.arms) < 2:
             return None
-        low, high = min(_MARGINS[0], rig.margin), max(_MARGINS[1], rig.margin)
+        low, high = min(_MARGIN_SLIDER_RANGE[0], rig.margin), max(_MARGIN_SLIDER_RANGE[1], rig.margin)
         slider = self._server.gui.add_slider("margin (m)", low, high, step=_STEP, initial_value=rig.margin)
         slider.on_update(lambda _: self._live.set_margin(slider.value))
         return slider

@@ -27,7 +27,7 @@ _DECIMALS = 5  # of sent positions (m) and quaternions; an arm at rest moves by 
 _HEARTBEAT_PERIOD = 1.0  # s
 _HEARTBEAT_TIMEOUT = 5.0  # s, after which a page shows that it is disconnected
 
-# Held while a server starts, since `_refusing_other_sites` then replaces a function of `websockets`.
+# Held while a server starts, since `_refuse_pages_of_other_sites` then replaces a function of `websockets`.
 _START_LOCK = threading.Lock()
 
 
@@ -121,7 +121,7 @@ class _LocalServer(viser.ViserServer):
 def serve_page(address: PageAddress, title: str) -> viser.ViserServer:
     """Serve an empty page that refuses requests of other sites."""
     require_free_address(address)
-    with _refusing_other_sites(address.host):
+    with _refuse_pages_of_other_sites(address.host):
         server = _LocalServer(host=address.host, port=address.port, label=title, verbose=False)
     if address.port and server.get_port() != address.port:
         # Another program took the port meanwhile, so viser chose the next free port.
@@ -133,14 +133,14 @@ def serve_page(address: PageAddress, title: str) -> viser.ViserServer:
 
 
 @contextlib.contextmanager
-def _refusing_other_sites(host: str) -> Iterator[None]:
+def _refuse_pages_of_other_sites(host: str) -> Iterator[None]:
     """Make a WebSocket server that starts inside this block refuse requests from pages of other sites.
 
     viser has no hook for requests, so the block wraps the function that viser calls.
     """
     serve = websockets.asyncio.server.serve
 
-    def with_check(*args: Any, process_request: Callable[..., Any] | None = None, **options: Any) -> Any:
+    def with_origin_check(*args: Any, process_request: Callable[..., Any] | None = None, **options: Any) -> Any:
         def check(connection: Any, request: Any) -> Any:
             headers = request.headers
             refused = refusal_reason(headers.get_all("Host"), headers.get_all("Origin"), host)
@@ -151,7 +151,7 @@ def _refusing_other_sites(host: str) -> Iterator[None]:
         return serve(*args, process_request=check, **options)
 
     with _START_LOCK:
-        websockets.asyncio.server.serve = with_check  # type: ignore[assignment, misc]
+        websockets.asyncio.server.serve = with_origin_check  # type: ignore[assignment, misc]
         try:
             yield
         finally:

@@ -18,7 +18,7 @@ from .viewpoint import Viewpoint
 
 _GREEN, _RED = (46, 139, 87), (200, 40, 40)  # RGB, 0 to 255
 _STEP = 0.01  # m, by one key press
-_TURN = np.radians(5.0)  # rad, about the vertical, by one key press
+_TURN_STEP = np.radians(5.0)  # rad, about the vertical, by one key press
 _TYPING_PAUSE = 1.0  # s after the last key press; typing 0.15 must not move the target to 0
 
 # Key, description, translation of the target in `world` (m), and rotation about the vertical (rad).
@@ -29,8 +29,8 @@ _KEY_MOVES = (
     ("L", "Target to the right", (0, -_STEP, 0), 0.0),
     ("Y", "Target up", (0, 0, _STEP), 0.0),
     ("H", "Target down", (0, 0, -_STEP), 0.0),
-    ("U", "Turn the hand left", (0, 0, 0), _TURN),
-    ("O", "Turn the hand right", (0, 0, 0), -_TURN),
+    ("U", "Turn the hand left", (0, 0, 0), _TURN_STEP),
+    ("O", "Turn the hand right", (0, 0, 0), -_TURN_STEP),
 )
 
 _KEYS_HELP = (
@@ -67,7 +67,7 @@ class TeleopPage(ScenePage):
         super().update()
         with self._acting:
             if self._fields.is_typing_done:
-                self._take_typed()
+                self._apply_typed_target()
             if not self._dragged:
                 self._show_target()
         self._show_status(self._arm.status)
@@ -113,12 +113,12 @@ class TeleopPage(ScenePage):
         # A coroutine runs in the server's loop. In threads, quick key presses could change their order or get lost.
         async def act_queued(_: Any) -> None:
             with self._acting:
-                self._take_typed()
+                self._apply_typed_target()
                 act()
 
         return act_queued
 
-    def _take_typed(self) -> None:
+    def _apply_typed_target(self) -> None:
         if self._fields.has_typed_numbers:
             self._arm.set_target_pose(self._fields.apply_typed(self._arm.target_pose))
 
@@ -149,7 +149,7 @@ class TeleopPage(ScenePage):
     # A coroutine runs in the server's loop, so that the steps of a drag stay in order.
     async def _drag(self, event: viser.TransformControlsEvent) -> None:
         with self._acting:
-            self._take_typed()
+            self._apply_typed_target()
             self._dragged = event.phase != "end"
             self._arm.set_target_pose(pose_from_quat(event.target.position, event.target.wxyz))
 

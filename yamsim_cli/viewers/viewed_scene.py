@@ -103,7 +103,7 @@ class LiveRig(ViewedScene):
         """Reset to keyframe `home`, at rest."""
         with self.lock:
             mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
-            self._follow_bases()
+            self._move_boards_to_bases()
             mujoco.mj_forward(self.model, self.data)
 
     def set_command(self, drive: DriveControl, value: float) -> None:
@@ -119,10 +119,10 @@ class LiveRig(ViewedScene):
                 T = self.rig.T_base_in_world(k)
                 base = self.model.body(arm.prefix + arm.robot.base)
                 base.pos[:], base.quat[:] = T[:3, 3], quat_from_rotation(T[:3, :3])
-            self._follow_bases()
+            self._move_boards_to_bases()
             mujoco.mj_forward(self.model, self.data)
 
-    def _follow_bases(self) -> None:
+    def _move_boards_to_bases(self) -> None:
         """Move boards and mounts to the bases of their arms, since a reset restores the compiled poses."""
         for arm in self.rig.arms:
             base = self.model.body(arm.prefix + arm.robot.base)

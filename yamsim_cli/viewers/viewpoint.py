@@ -12,8 +12,8 @@ FOV_DEG = 45.0  # deg, vertical field of view
 _AZIMUTH_DEG, _ELEVATION_DEG = 150.0, -32.0  # deg, from the front, to one side and above
 
 # Sphere around an arm in its rest posture and its calibration board; the view must contain the sphere.
-_BALL_CENTRE = (0.12, 0.0, 0.17)  # m, in the arm's base frame
-_BALL_RADIUS = 0.34  # m
+_ARM_SPHERE_CENTRE = (0.12, 0.0, 0.17)  # m, in the arm's base frame
+_ARM_SPHERE_RADIUS = 0.34  # m
 _TABLE_MARGIN = 0.12  # m, added to the radius for a task's table
 
 
@@ -45,15 +45,15 @@ def workspace_viewpoint(x: float, y: float, z: float, span: float = 0.0) -> View
 
     `span` is the distance between the bases of the outermost arms, m.
     """
-    return _sphere_viewpoint(np.array([x, y, z]), _BALL_RADIUS + _TABLE_MARGIN + span / 2)
+    return _sphere_viewpoint(np.array([x, y, z]), _ARM_SPHERE_RADIUS + _TABLE_MARGIN + span / 2)
 
 
 def rig_viewpoint(rig: RigConfig) -> Viewpoint:
     """Return a viewpoint that shows all arms and boards of a rig."""
     bases = [rig.T_base_in_world(arm) for arm in range(len(rig.arms))]
-    centres = np.array([(T @ (*_BALL_CENTRE, 1.0))[:3] for T in bases])
+    centres = np.array([(T @ (*_ARM_SPHERE_CENTRE, 1.0))[:3] for T in bases])
     look_at: Array = centres.mean(axis=0)
-    return _sphere_viewpoint(look_at, _BALL_RADIUS + float(np.linalg.norm(centres - look_at, axis=1).max()))
+    return _sphere_viewpoint(look_at, _ARM_SPHERE_RADIUS + float(np.linalg.norm(centres - look_at, axis=1).max()))
 
 
 def _sphere_viewpoint(look_at: Array, radius: float) -> Viewpoint:

@@ -44,13 +44,13 @@ def main(motion: str, out: str, encoder: str) -> None:
     Robot, Gripper = (
         message(name, "position", kinds.TYPE_DOUBLE, kinds.LABEL_REPEATED) for name in ("RobotState", "GripperState")
     )
-    Instruction = message("Instruction", "text", kinds.TYPE_STRING, kinds.LABEL_OPTIONAL)
+    Instructions = message("Instructions", "data", kinds.TYPE_STRING, kinds.LABEL_OPTIONAL)
     given = np.load(motion)
     times = given["times"].tolist()
     film = packets(given["grey"], encoder)
     with Path(out).open("wb") as file, Writer(file) as writer:
         said = {"publish_time": times[0], "log_time": times[0]}
-        writer.write_message("/instruction", Instruction(text="put the banana on the plate"), **said)
+        writer.write_message("/instruction", Instructions(data="put the banana on the plate"), **said)
         for k, now in enumerate(times):
             said = {"publish_time": now, "log_time": now}
             for side in ("left", "right"):

@@ -9,7 +9,7 @@ import numpy as np
 from yamsim_cli.core.dataset.dataset_paths import image_path, lowdim_path
 from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, make_frame
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord, OutcomeRecord, file_hashes
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 
 CAMERA = "scene_camera"
@@ -113,7 +113,7 @@ def failed_attempt(attempt: int) -> AttemptRecord:
 
 def write_dataset(path: Path, *episodes: HandmadeEpisode) -> Path:
     """Writes a dataset of these episodes, three by default."""
-    with DatasetWriter(path, CONFIG, OpenMode.NEW) as writer:
+    with DatasetWriter(path, CONFIG, ExistingDatasetMode.NEW) as writer:
         for episode in episodes or [made(k) for k in range(3)]:
             publish(writer, episode)
         writer.write_manifest()

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.core.dataset.making import CONFIG, tree
-from yamsim_cli.core.dataset.writing.directory_claim import DirectoryLock, OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import DirectoryLock, ExistingDatasetMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.errors import ResourceError, UsageError
 
@@ -26,9 +26,9 @@ def recorder(path: Path) -> Iterator[subprocess.Popen[str]]:
     """Another process that records into `path`."""
     code = (
         "from pathlib import Path\n"
-        "from yamsim_cli.core.dataset.writing.directory_claim import OpenMode\n"
+        "from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode\n"
         "from yamsim_cli.core.dataset.writing.writer import DatasetWriter\n"
-        f"writer = DatasetWriter(Path({str(path)!r}), {CONFIG!r}, OpenMode.RESUME)\n"
+        f"writer = DatasetWriter(Path({str(path)!r}), {CONFIG!r}, ExistingDatasetMode.RESUME)\n"
         "print('recording', flush=True)\n"
         "input()\n"
     )
@@ -47,8 +47,8 @@ def recorder(path: Path) -> Iterator[subprocess.Popen[str]]:
             process.kill()
 
 
-@pytest.mark.parametrize("mode", OpenMode)
-def test_a_second_recorder_is_refused_and_told_who_the_first_is(tmp_path: Path, mode: OpenMode) -> None:
+@pytest.mark.parametrize("mode", ExistingDatasetMode)
+def test_a_second_recorder_is_refused_and_told_who_the_first_is(tmp_path: Path, mode: ExistingDatasetMode) -> None:
     path = tmp_path / "dataset"
     with recorder(path) as first:
         before = tree(path)
@@ -65,7 +65,7 @@ def test_a_killed_recorder_blocks_nobody(tmp_path: Path) -> None:
         first.kill()
         first.wait()
         assert (tmp_path / ".lock").exists()
-        with DatasetWriter(tmp_path, CONFIG, OpenMode.RESUME):
+        with DatasetWriter(tmp_path, CONFIG, ExistingDatasetMode.RESUME):
             assert json.loads((tmp_path / ".lock").read_text()) == {"pid": os.getpid(), "host": HOST}
     assert tree(tmp_path).keys() == {"config.yaml"}
 
@@ -73,7 +73,7 @@ def test_a_killed_recorder_blocks_nobody(tmp_path: Path) -> None:
 def test_a_writer_that_is_refused_leaves_no_lock(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").touch()
     with pytest.raises(UsageError):
-        DatasetWriter(tmp_path, CONFIG, OpenMode.NEW)
+        DatasetWriter(tmp_path, CONFIG, ExistingDatasetMode.NEW)
     assert tree(tmp_path).keys() == {"thesis.tex"}
 
 

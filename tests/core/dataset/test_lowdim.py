@@ -19,7 +19,7 @@ from yamsim_cli.core.dataset.lowdim import (
     dump_frame,
     flatten_frame,
     frame_array_shapes,
-    has_simulation,
+    has_simulation_keys,
     load_frame,
     make_frame,
     recorded_actions,
@@ -281,8 +281,8 @@ def test_simulation_data_comes_last_and_keeps_every_bit():
 
 
 def test_a_frame_has_all_simulation_data_or_none():
-    assert has_simulation(simulated())
-    assert not has_simulation(frame())
+    assert has_simulation_keys(simulated())
+    assert not has_simulation_keys(frame())
     assert frame_faults(simulated(), expected_specs(OBJECTS, [CAMERA], 1, 7)) == []
     assert frame_faults(frame(), expected_specs(OBJECTS, [CAMERA], 1, 7)) == []
 

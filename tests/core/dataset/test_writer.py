@@ -8,14 +8,14 @@ import pytest
 
 from tests.core.dataset.making import CONFIG, failed_attempt, made, publish, tree
 from yamsim_cli.core.dataset.records import AttemptRecord, Manifest, from_json, to_json
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.dataset.writing.ledger import LOST_LINE_OUTCOME, Ledger
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError, UsageError
 from yamsim_cli.core.files.documents.yaml_document import load_yaml
 
 
-def resume(path: Path, config: dict = CONFIG, mode: OpenMode = OpenMode.RESUME) -> DatasetWriter:
+def resume(path: Path, config: dict = CONFIG, mode: ExistingDatasetMode = ExistingDatasetMode.RESUME) -> DatasetWriter:
     """A writer that has released its lock, so that a test can open a dataset several times."""
     with DatasetWriter(path, config, mode) as writer:
         return writer
@@ -25,7 +25,7 @@ def numbers(writer: DatasetWriter) -> list[tuple[int, int | None]]:
     return [(attempt.attempt, attempt.episode) for attempt in writer.attempts]
 
 
-@pytest.mark.parametrize("mode", OpenMode)
+@pytest.mark.parametrize("mode", ExistingDatasetMode)
 @pytest.mark.parametrize("exists", [True, False])
 def test_a_new_or_empty_directory_is_taken_in_every_mode(tmp_path, mode, exists):
     path = tmp_path / "some/where"
@@ -58,7 +58,7 @@ def test_the_manifest_counts_what_is_published(dataset):
 def test_what_is_in_a_directory_is_never_written_over_unasked(dataset):
     before = tree(dataset)
     with pytest.raises(UsageError, match=r"is not empty; continue it with --resume, move it aside with --overwrite"):
-        resume(dataset, CONFIG, OpenMode.NEW)
+        resume(dataset, CONFIG, ExistingDatasetMode.NEW)
     assert tree(dataset) == before
 
 
@@ -69,11 +69,11 @@ def test_a_path_that_is_no_directory_is_refused_and_can_be_moved_aside(tmp_path,
     path = tmp_path / "out"
     path.write_text("precious") if what == "file" else path.symlink_to("gone")
     with pytest.raises(UsageError, match=f"{path} is not a directory: {obstacle}; move it aside with --overwrite"):
-        resume(path, CONFIG, OpenMode.NEW)
+        resume(path, CONFIG, ExistingDatasetMode.NEW)
     with pytest.raises(UsageError, match=f"{path} is not a dataset to resume: {obstacle}; choose another --out"):
         resume(path)
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
-    assert resume(path, CONFIG, OpenMode.OVERWRITE).moved_aside == tmp_path / "out.old-1"
+    assert resume(path, CONFIG, ExistingDatasetMode.OVERWRITE).moved_aside == tmp_path / "out.old-1"
     assert os.path.lexists(tmp_path / "out.old-1")
     assert (path / "config.yaml").is_file()
 
@@ -81,14 +81,14 @@ def test_a_path_that_is_no_directory_is_refused_and_can_be_moved_aside(tmp_path,
 def test_overwriting_moves_aside_as_often_as_it_is_asked(dataset):
     first = tree(dataset)
     for k in (1, 2):
-        writer = resume(dataset, {**CONFIG, "seed": k}, OpenMode.OVERWRITE)
+        writer = resume(dataset, {**CONFIG, "seed": k}, ExistingDatasetMode.OVERWRITE)
         assert writer.moved_aside == dataset.with_name(f"dataset.old-{k}")
         assert tree(dataset).keys() == {"config.yaml"}
     assert tree(dataset.with_name("dataset.old-1")) == first
     assert load_yaml(dataset.with_name("dataset.old-2") / "config.yaml").data["seed"] == 1
 
 
-@pytest.mark.parametrize("mode", OpenMode)
+@pytest.mark.parametrize("mode", ExistingDatasetMode)
 def test_a_disk_that_refuses_is_a_resource_error_with_its_reason(tmp_path, monkeypatch, mode):
     monkeypatch.setattr("yamsim_cli.core.dataset.writing.writer.write_file", refuse)
     with pytest.raises(ResourceError, match=r"cannot be written: Read-only file system: .*; choose another --out"):
@@ -148,7 +148,7 @@ def test_a_long_list_of_changes_is_cut(dataset):
 def test_tuples_and_lists_are_the_same_configuration(tmp_path):
     path = tmp_path / "d"
     config = CONFIG | {"size": (640, 480)}
-    resume(path, config, OpenMode.NEW)
+    resume(path, config, ExistingDatasetMode.NEW)
     resume(path, config)
 
 
@@ -469,7 +469,7 @@ def test_what_a_crash_left_half_written_is_removed_and_never_counted(dataset):
 
 
 @pytest.mark.parametrize("name", [".lock", ".staging", ".config.yaml.0123456789abcdef0123456789abcdef.part"])
-@pytest.mark.parametrize("mode", OpenMode)
+@pytest.mark.parametrize("mode", ExistingDatasetMode)
 def test_leftovers_of_a_crash_in_an_empty_dataset_do_not_block_a_new_recording(tmp_path, name, mode):
     (tmp_path / name).mkdir() if name == ".staging" else (tmp_path / name).touch()
     writer = resume(tmp_path, mode=mode)

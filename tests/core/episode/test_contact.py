@@ -161,7 +161,7 @@ def test_an_episode_is_made_again_bit_for_bit(original: Path, locations: Locatio
     verifier = EpisodeVerifier(Session(config, locations), Tolerances(values=0.0, images=None))
     for number in range(2):
         verdict = verifier.run((number, original / f"ep_{number:06d}"))
-        assert verdict.agrees
+        assert verdict.is_reproduced
         assert set(verdict.checks) == {SEED, ACTIONS}
         assert all(check.max_error == 0.0 for check in verdict.checks.values())
 

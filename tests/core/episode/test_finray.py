@@ -18,7 +18,7 @@ from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.scene.compilation import physics_failure
-from yamsim_cli.core.scene.compiled import GeomOwner
+from yamsim_cli.core.scene.compiled import GeomOwnerKind
 
 # Both on the table, away from the hand.
 _ASIDE = ObjectLayout({"strawberry": pose([0.60, -0.25, 0.0213]), "plate": pose([0.58, 0.20, 0.001])})
@@ -36,7 +36,7 @@ def _bends(model: mujoco.MjModel) -> list[int]:
 
 def test_all_of_a_finger_is_a_finger(simulator: Simulator) -> None:
     model, kinds = simulator.scene.model, simulator.scene.geom_kind
-    for side, kind in (("left", GeomOwner.LEFT_FINGER), ("right", GeomOwner.RIGHT_FINGER)):
+    for side, kind in (("left", GeomOwnerKind.LEFT_FINGER), ("right", GeomOwnerKind.RIGHT_FINGER)):
         of_side = [k for k in range(model.ngeom) if model.geom(k).name.startswith(side)]
         assert len(of_side) > 20
         assert (kinds[of_side] == kind).all()

@@ -15,7 +15,7 @@ from tests.programs import FOLD, first_attempt, session_of
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.episode import Episode
-from yamsim_cli.core.episode.episode_rules import WELD_REACH, EpisodeRules
+from yamsim_cli.core.episode.episode_rules import MAX_WELD_DISTANCE, EpisodeRules
 from yamsim_cli.core.episode.expert import arm_sides
 from yamsim_cli.core.episode.grasps import (
     ClothGraspSimulator,
@@ -70,7 +70,7 @@ def test_the_grasp_follows_from_the_scene(simulator: Simulator, friction: Simula
 
 def test_a_magnet_takes_what_is_near_and_lets_go_of_it(simulator: Simulator) -> None:
     scene, data = simulator.scene, at_hand(simulator, 0.02)
-    (arm, weld), grasp = weld_of(scene), make_grasp_simulator(scene, WELD_REACH)
+    (arm, weld), grasp = weld_of(scene), make_grasp_simulator(scene, MAX_WELD_DISTANCE)
     ctrl = data.ctrl.copy()
     assert list(grasp.update(data, ctrl, OFF)) == [False] and not is_weld_active(data, arm)
     assert list(grasp.update(data, ctrl, ON)) == [True] and is_weld_active(data, arm)
@@ -78,7 +78,7 @@ def test_a_magnet_takes_what_is_near_and_lets_go_of_it(simulator: Simulator) -> 
     assert list(grasp.update(data, ctrl, OFF)) == [False] and not is_weld_active(data, arm)
 
 
-@pytest.mark.parametrize(("reach", "takes"), [(WELD_REACH, False), (None, True), (0.5, True)])
+@pytest.mark.parametrize(("reach", "takes"), [(MAX_WELD_DISTANCE, False), (None, True), (0.5, True)])
 def test_a_magnet_takes_nothing_out_of_its_reach(simulator: Simulator, reach: float | None, takes: bool) -> None:
     scene, data = simulator.scene, at_hand(simulator, 0.12)
     assert list(make_grasp_simulator(scene, reach).update(data, data.ctrl, ON)) == [takes]

@@ -17,7 +17,7 @@ from yamsim_cli.core.dataset.checks.context import find_episodes, read_context
 from yamsim_cli.core.dataset.checks.problem import ProblemCollector
 from yamsim_cli.core.dataset.reader import open_episode, read_recording_config
 from yamsim_cli.core.dataset.records import RoleAssignmentRecord, to_json
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.episode import sampling
 from yamsim_cli.core.episode.episode_rules import EXPERT_RULES
 from yamsim_cli.core.episode.execution import simulate_actions, simulate_expert
@@ -50,7 +50,7 @@ def simulators(session: Session) -> Iterator[SimulatorCache]:
 
 def recorded(session: Session, out: Path) -> Path:
     watch = RecordCallbacks(lambda done, wanted, attempts: None, lambda text: None)
-    record(session, RecordingOutput(out, OpenMode.NEW), InlineExecutorFactory(), watch, StopRequest())
+    record(session, RecordingOutput(out, ExistingDatasetMode.NEW), InlineExecutorFactory(), watch, StopRequest())
     return out
 
 
@@ -64,7 +64,7 @@ def test_what_was_recorded_is_made_again_bit_for_bit(dataset: Path, locations: L
     session = Session(read_recording_config(dataset, locations), locations).without_meshes()
     with EpisodeVerifier(session, Tolerances(0.0, 0.0)) as verifier:
         verdict = verifier.run((0, dataset / "ep_000000"))
-    assert verdict.agrees, verdict
+    assert verdict.is_reproduced, verdict
     assert set(verdict.checks) == {SEED, ACTIONS, IMAGES}
     assert all(check.max_error == 0 for check in verdict.checks.values())
 

@@ -51,7 +51,7 @@ def test_the_mount_of_a_path(path: str, wanted: str) -> None:
 
 
 def test_names_with_blanks_are_read() -> None:
-    mount = next(mount for mount in MOUNTS if mount.number == 42)
+    mount = next(mount for mount in MOUNTS if mount.mount_id == 42)
     assert (str(mount.point), mount.source) == ("/mnt/with blank", "me@host:/a b")
 
 
@@ -108,7 +108,7 @@ def test_nothing_on_a_network_mount_is_asked() -> None:
     links = FakeLinks({"/data/link": "/home/me"})
     for path in ("/home/me/data", "/data/link/deeper", "/net/server", "/mnt/new/x/y"):
         network_mount(Path(path), MOUNTS, links)
-    network = [PurePosixPath(mount.point) for mount in MOUNTS if mount.is_network and mount.number != 41]
+    network = [PurePosixPath(mount.point) for mount in MOUNTS if mount.is_network and mount.mount_id != 41]
     assert [path for path in links.asked if any(PurePosixPath(path).is_relative_to(point) for point in network)] == []
 
 
@@ -126,7 +126,7 @@ def test_a_relative_path_is_below_the_current_directory(tmp_path: Path, monkeypa
     ("number", "reach"), [(27, True), (40, True), (41, False), (42, False), (45, True), (47, False), (48, False)]
 )
 def test_which_locks_reach_other_machines(number: int, reach: bool) -> None:
-    assert next(mount for mount in MOUNTS if mount.number == number).locks_reach_others is reach
+    assert next(mount for mount in MOUNTS if mount.mount_id == number).locks_reach_others is reach
 
 
 def test_this_machine_has_a_root() -> None:

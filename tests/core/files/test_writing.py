@@ -12,10 +12,10 @@ from yamsim_cli.core.files import writing as files
 from yamsim_cli.core.files.writing import (
     append_line,
     describe_refusal,
+    directory_obstacle,
     exclusive_lock,
     move_to_backup,
     publish_directory,
-    why_not_directory,
     write_file,
     write_outputs,
 )
@@ -221,7 +221,7 @@ def test_a_refusal_says_why_a_directory_cannot_exist(tmp_path, path, told):
     os.mkfifo(tmp_path / "pipe")
     for name, target in {"link": "gone", "loop": "loop", "to_file": "file", "to_dataset": "dataset"}.items():
         (tmp_path / name).symlink_to(target)
-    assert why_not_directory(tmp_path / path) == (told and told.format(here=tmp_path))
+    assert directory_obstacle(tmp_path / path) == (told and told.format(here=tmp_path))
 
 
 def test_a_refusal_names_what_is_in_the_way_where_that_is_the_reason(tmp_path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yamsim_cli.core.geometry.cloth_contacts import mask_between_pads, nearest_per_layer
+from yamsim_cli.core.geometry.cloth_contacts import mask_between_pads, nearest_point_per_layer
 
 _DEEP = (-0.008, 0.015)
 
@@ -28,26 +28,26 @@ def test_of_every_layer_that_goes_through_the_nearest_point_is_held() -> None:
     seen = _STRIP - pinch
     assert not mask_between_pads(seen, 0.0072, _DEEP)[[0]].any()
     middle = np.zeros((1, 2))
-    assert nearest_per_layer(seen, _CORNERS, middle, _DEEP).tolist() == [0, 2]
+    assert nearest_point_per_layer(seen, _CORNERS, middle, _DEEP).tolist() == [0, 2]
 
 
 @pytest.mark.parametrize("away", [(0.0, 0.0, 0.03), (0.0, 0.0, -0.02), (0.05, 0.0, 0.0), (0.0, -0.03, 0.0)])
 def test_layers_beside_over_and_under_the_pads_are_not_held(away: tuple[float, float, float]) -> None:
     seen = _STRIP - [0.008, 0.005, 0.0] + away
-    assert not len(nearest_per_layer(seen, _CORNERS, np.zeros((1, 2)), _DEEP))
+    assert not len(nearest_point_per_layer(seen, _CORNERS, np.zeros((1, 2)), _DEEP))
 
 
 def test_a_layer_is_held_that_only_one_side_of_the_pads_meets() -> None:
     # The lower layer starts at x = 0, the upper one at 3 mm: a line at 1.5 mm crosses the lower one alone, and a line
     # at the pads' end, 7 mm farther, crosses both.
     seen = _STRIP - [0.0015, 0.005, 0.0]
-    assert nearest_per_layer(seen, _CORNERS, np.array([(0.0, 0.0)]), _DEEP).tolist() == [0]
-    assert nearest_per_layer(seen, _CORNERS, np.array([(0.0, 0.0), (0.007, 0.0)]), _DEEP).tolist() == [0, 2]
+    assert nearest_point_per_layer(seen, _CORNERS, np.array([(0.0, 0.0)]), _DEEP).tolist() == [0]
+    assert nearest_point_per_layer(seen, _CORNERS, np.array([(0.0, 0.0), (0.007, 0.0)]), _DEEP).tolist() == [0, 2]
 
 
 def test_one_point_of_a_layer_is_held_and_not_a_second_one_that_would_keep_it_from_turning() -> None:
     # At 11 mm, the middle of the pads is nearer to the layer's end, and an end of the pads to its next point.
     lower = _CORNERS[:2]
     seen = _STRIP - [0.011, 0.005, 0.0]
-    assert nearest_per_layer(seen, lower, np.array([(0.007, 0.0)]), _DEEP).tolist() == [1]
-    assert nearest_per_layer(seen, lower, np.array([(0.0, 0.0), (0.007, 0.0)]), _DEEP).tolist() == [0]
+    assert nearest_point_per_layer(seen, lower, np.array([(0.007, 0.0)]), _DEEP).tolist() == [1]
+    assert nearest_point_per_layer(seen, lower, np.array([(0.0, 0.0), (0.007, 0.0)]), _DEEP).tolist() == [0]

@@ -16,7 +16,7 @@ from yamsim_cli.core.dataset.records import from_json
 from yamsim_cli.core.episode.attempt_payload import GroundTruthCollector
 from yamsim_cli.core.episode.simulator import Simulator, SimulatorCache
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.rendering.frame_truth import FrameTruth, measure_frame, rendered_sides
+from yamsim_cli.core.rendering.frame_truth import FrameTruth, measure_frame, rendered_cloth_sides
 from yamsim_cli.core.scene.cloth import grid_triangles
 
 pytestmark = pytest.mark.render
@@ -145,5 +145,5 @@ def test_the_drawn_sides_are_those_that_the_renderer_draws(stage: NapkinScene) -
     data = stage.simulator.state_replay.data
     mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
     drawn = np.array(scene.flexface[: 9 * scene.flexfaceused[0]]).reshape(-1, 3)
-    for side in rendered_sides(cloth.points(qpos), grid_triangles(*cloth.grid), cloth.half_thickness):
+    for side in rendered_cloth_sides(cloth.points(qpos), grid_triangles(*cloth.grid), cloth.half_thickness):
         assert np.abs(drawn[None] - side[:, None]).max(axis=2).min(axis=1).max() < 1e-6

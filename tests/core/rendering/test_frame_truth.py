@@ -16,7 +16,7 @@ from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.ground_truth_files import KeypointRecord, Visibility
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.camera import opencv_from_mujoco, project_points
+from yamsim_cli.core.geometry.camera import Intrinsics, opencv_from_mujoco, project_points
 from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose
 from yamsim_cli.core.images.png import decode_labels, encode_labels
 from yamsim_cli.core.rendering.frame_truth import FrameTruth, instance_boxes, is_visible, measure_frame
@@ -121,7 +121,7 @@ def transform(T: Array, point: Array) -> Array:
 
 def test_labels_are_those_of_the_geoms(stage: TruthScene) -> None:
     ids = stage.renderer.render_geom_ids(stage.replica.data, CAMERA)
-    expected = np.append(stage.labels.of_geom, 0)[ids]
+    expected = np.append(stage.labels.label_of_geom, 0)[ids]
     np.testing.assert_array_equal(stage.truth().labels, expected)
 
 
@@ -306,14 +306,14 @@ def test_label_images_come_back(stage: TruthScene) -> None:
 )
 def test_the_same_body_in_front_of_a_point_hides_it(nearer_mm: int, slant: float, seen: bool) -> None:
     """One body's plane fills the picture; the point lies on it, or behind it."""
-    K = np.array([[100.0, 0, 15.5], [0, 100.0, 11.5], [0, 0, 1]])
+    lens = Intrinsics(32, 24, 100.0, 100.0, 15.5, 11.5)
     p, normal = np.array([0.004, 0.003, 1.0]), np.array([slant, 0.0, -1.0]) / np.hypot(slant, 1.0)
     v, u = np.mgrid[:24, :32]
     rays = np.stack([(u - 15.5) / 100, (v - 11.5) / 100, np.ones(u.shape)], axis=-1)
     depth = np.rint(1000 * (normal @ p) / (rays @ normal)) - nearer_mm
     point = LabelledKeypoint(KeypointRecord(name="point", body="link", kind="axis"), 1, np.zeros(3), normal, (7,))
-    pixel = tuple(np.rint(project_points(K, p)[0]).astype(int).tolist())
+    pixel = tuple(np.rint(lens.project(p)[0]).astype(int).tolist())
     labels = np.full((24, 32), 7, np.uint8)
-    assert is_visible(point, p, normal, K, pixel, labels, depth.astype(np.uint16)) == seen
-    assert not is_visible(point, p, -normal, K, pixel, labels, depth.astype(np.uint16))
-    assert not is_visible(point, p, normal, K, pixel, labels + np.uint8(1), depth.astype(np.uint16))
+    assert is_visible(point, p, normal, lens, pixel, labels, depth.astype(np.uint16)) == seen
+    assert not is_visible(point, p, -normal, lens, pixel, labels, depth.astype(np.uint16))
+    assert not is_visible(point, p, normal, lens, pixel, labels + np.uint8(1), depth.astype(np.uint16))

@@ -17,7 +17,7 @@ from yamsim_cli.core.episode.sampling import sample_attempt
 from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.geometry.se3 import Array, rotation_z
 from yamsim_cli.core.rendering.incremental_renderer import IncrementalRenderer
-from yamsim_cli.core.rendering.pixel_boxes import Box, Projection, ShadowTable, ShadowVolumes, box_corners, union
+from yamsim_cli.core.rendering.pixel_boxes import PixelBox, Projection, ShadowTable, ShadowVolumes, box_corners, union
 from yamsim_cli.core.rendering.renderer import SceneRenderer
 from yamsim_cli.session_opener import SessionOpener
 
@@ -41,21 +41,24 @@ def draw_all(renderer: SceneRenderer, model: mujoco.MjModel, states: Sequence[Ar
 
 
 @pytest.mark.render
+@pytest.mark.parametrize("smooth", [False, True], ids=["stepped", "smooth"])
 @pytest.mark.parametrize(
     "settings",
     [
         {"task": "pickplace", "wrist": True, "boards": True},
-        {"task": "handover", "rig": "russet", "wrist": True},
+        pytest.param({"task": "handover", "rig": "russet", "wrist": True}, marks=pytest.mark.slow),
         {"task": "fold_napkin"},
-        {"task": "tower", "randomize": "default", "seed": 3},
+        pytest.param({"task": "tower", "randomize": "default", "seed": 3}, marks=pytest.mark.slow),
     ],
-    ids=lambda settings: settings["task"],
+    ids=["pickplace", "handover", "fold_napkin", "tower"],
 )
-def test_the_pixels_are_those_of_whole_images(settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    boxes: list[Box | None] = []
+def test_the_pixels_are_those_of_whole_images(
+    settings: dict[str, Any], smooth: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    boxes: list[PixelBox | None] = []
     draw = IncrementalRenderer.draw
 
-    def record_box(self: IncrementalRenderer, data: mujoco.MjData, camera: str) -> Box | None:
+    def record_box(self: IncrementalRenderer, data: mujoco.MjData, camera: str) -> PixelBox | None:
         boxes.append(draw(self, data, camera))
         return boxes[-1]
 
@@ -68,13 +71,33 @@ def test_the_pixels_are_those_of_whole_images(settings: dict[str, Any], monkeypa
         fine = simulator.config.render.fine_size(SIZE)
         images = []
         for incremental in (True, False):
-            with SceneRenderer(model, SIZE, fine, incremental=incremental) as renderer:
+            with SceneRenderer(model, SIZE, fine, incremental=incremental, smooth_shadows=smooth) as renderer:
                 images.append(draw_all(renderer, model, states, cameras))
     np.testing.assert_array_equal(*images)
     if boxes:  # a GPU draws whole images
+        del boxes[len(images[0]) :]
         shares = [box.width * box.height / (fine[0] * fine[1]) for box in boxes[:: len(cameras)] if box is not None]
         assert len(shares) == len(states)
         assert np.mean(shares) < 0.7
+
+
+@pytest.mark.render
+def test_smooth_shadows_differ_only_at_edges_of_shadows_and_have_grey_levels() -> None:
+    with SimulatorCache(open_session(task="pickplace")) as simulators:
+        simulator = simulators.get(AttemptJob(0, 0))
+        model, (camera, *_) = simulator.scene.model, simulator.scene.cameras
+        start = sample_attempt(simulator, AttemptJob(0, 0)).start
+        assert start is not None
+        pictures = []
+        for smooth in (False, True):
+            with SceneRenderer(model, SIZE, smooth_shadows=smooth) as renderer:
+                pictures.append(draw_all(renderer, model, [start], [camera])[0].astype(int))
+    difference = np.abs(pictures[1] - pictures[0]).max(axis=2)
+    assert (difference > 1).mean() < 0.02
+    # Filtering gives levels between light and shadow, so many pixels change by less than a whole shadow.
+    edge = difference[difference > 1]
+    assert len(np.unique(edge)) > 10
+    assert np.median(edge) < edge.max() / 2
 
 
 @pytest.mark.render
@@ -108,7 +131,7 @@ def test_a_box_contains_the_projected_points() -> None:
     assert boxes[0].tolist() == [87, 42, 113, 58]
     assert bounded.tolist() == [True, False]
     assert boxes[1].tolist() == [0, 0, 200, 100]
-    assert union(boxes[:1]) == Box(87, 42, 26, 16)
+    assert union(boxes[:1]) == PixelBox(87, 42, 26, 16)
     assert union(boxes[:0]).is_empty
 
 
@@ -118,9 +141,9 @@ def test_a_shadow_ends_on_a_table_that_catches_all_of_it() -> None:
     over, beside = (
         box_corners(np.array([[x, 0, 0.5, 0.1, 0.1, 0.1]]), np.zeros((1, 3)), np.eye(3)[None]) for x in (0.0, 0.95)
     )
-    assert volumes.corners(over)[0, :, 2].min() == pytest.approx(0.1)
-    assert volumes.corners(beside)[0, :, 2].min() == pytest.approx(-0.8)
+    assert volumes.hull_points(over)[0, :, 2].min() == pytest.approx(0.1)
+    assert volumes.hull_points(beside)[0, :, 2].min() == pytest.approx(-0.8)
     thin = box_corners(np.array([[0, 0, 0.5, 0.3, 1e-6, 0.3]]), np.zeros((1, 3)), rotation_z(0.7)[None])
-    outside = volumes.corners(thin)[0] @ rotation_z(0.7)[:, 1]
+    outside = volumes.hull_points(thin)[0] @ rotation_z(0.7)[:, 1]
     assert outside.max() >= 0.001
     assert not ShadowVolumes(np.array([1.0, 0.0, 0.0]), 0.0, (), 0.001).is_bounded

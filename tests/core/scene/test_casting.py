@@ -128,7 +128,7 @@ def test_what_starts_on_another_thing_moves_with_it(tmp_path_factory: pytest.Tem
     task, job, table = session.config.task, AttemptJob(0, 3), session.config.widened_table
     assert isinstance(table, Table)
     placed = sample_placements(task, sample_roles(task, job), lambda name, opened: BLOCK, table, job)
-    assert isinstance(placed, dict) and placed["cube"].on == "plate"
+    assert isinstance(placed, dict) and placed["cube"].support_name == "plate"
     apart = np.linalg.inv(placed["plate"].T) @ placed["cube"].T
     assert apart[:2, 3] == pytest.approx((0.05, 0.0), abs=1e-9)
 

@@ -16,11 +16,11 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.core.files.resources import Locations, Meshes
+from yamsim_cli.core.files.resources import Locations, MeshFolders
 from yamsim_cli.core.scene.assets import AssetStore, load_lock
 from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
 from yamsim_cli.viewers.show.compose import compose_at_home, first_attempt_start
-from yamsim_cli.viewers.show.scene_files import classic_xml, scene_files
+from yamsim_cli.viewers.show.scene_files import mujoco_3_3_xml, scene_files
 
 Composed = tuple[mujoco.MjSpec, mujoco.MjModel]
 
@@ -40,7 +40,7 @@ NOT_PHYSICS = {"geom_castshadow", "tex_colorspace", "actuator_ctrlspec", "npaths
 def composed(make_config: Callable[..., RecordConfig], locations: Locations) -> Callable[..., Composed]:
     """Compose a scene with boards."""
 
-    def compose(rig: str, task: str | None, grasp: str, meshes: Meshes) -> Composed:
+    def compose(rig: str, task: str | None, grasp: str, meshes: MeshFolders) -> Composed:
         where = replace(locations, meshes=meshes)
         if task is None:
             studio = load_config(SceneConfig, "scenes", "studio", locations)
@@ -101,12 +101,12 @@ def test_it_does_with_meshes_too(
 
 def test_what_3_3_does_not_read_is_refused_and_what_does_is_told(composed: Callable[..., Composed]) -> None:
     with pytest.raises(UsageError, match=r"armature=\S+ of <fixed> left_foot_slip_1, .* write it with --mujoco 4$"):
-        classic_xml(*composed("single_finray", None, "weld", {}))
+        mujoco_3_3_xml(*composed("single_finray", None, "weld", {}))
 
 
 def test_what_has_another_default_in_another_version_is_said(scene: Composed) -> None:
     spec, model = scene
-    root = ElementTree.fromstring(classic_xml(spec, model))
+    root = ElementTree.fromstring(mujoco_3_3_xml(spec, model))
     assert root.find("option").get("ccd_iterations") == str(model.opt.ccd_iterations)
     assert root.find("option/flag").attrib == {"multiccd": "enable"}
     assert root.find("visual/headlight").get("active") == "1"
@@ -166,7 +166,7 @@ FRAMES = """
 def test_frames_become_part_of_what_is_in_them() -> None:
     spec = mujoco.MjSpec.from_string(FRAMES)
     model = spec.compile()
-    text = classic_xml(spec, model)
+    text = mujoco_3_3_xml(spec, model)
     assert "<frame" not in text
     differences = _differences(mujoco.MjModel.from_xml_string(text), model)
     # Of numbers up to 75; the capsule and its quarter turns are rounded more often.
@@ -177,7 +177,7 @@ def test_writing_leaves_the_spec_as_it_was() -> None:
     spec = mujoco.MjSpec.from_string(FRAMES)
     model = spec.compile()
     before = spec.to_xml()
-    classic_xml(spec, model)
+    mujoco_3_3_xml(spec, model)
     assert spec.to_xml() == before
     assert scene_files(spec, model, "4") == {"scene.xml": before.encode()}
 

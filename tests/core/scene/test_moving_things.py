@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.scene.objects.object_joints import joint_transform
 from yamsim_cli.core.scene.objects.scene_object import add_object
-from yamsim_cli.viewers.show.scene_files import classic_xml
+from yamsim_cli.viewers.show.scene_files import mujoco_3_3_xml
 
 INERTIA = {"mass_g": 100, "diagonal": [1e-4, 1e-4, 1e-4], "quat": [1, 0, 0, 0]}
 MESH = {"set": "none", "file": "a.stl", "origin": [0, 0, 0], "rgba": [1, 1, 1, 1]}
@@ -150,7 +150,7 @@ def test_parts_name_parents_that_come_before() -> None:
 def test_older_mujoco_versions_read_joints_with_the_same_physics() -> None:
     joint = {**SLIDE, "detents": [{"at": 0.02, "width": 0.01, "effort": 1.0}]}
     spec, model, data = world(thing(joint))
-    again = mujoco.MjModel.from_xml_string(classic_xml(spec, model))
+    again = mujoco.MjModel.from_xml_string(mujoco_3_3_xml(spec, model))
     other = mujoco.MjData(again)
     assert pushed(model, data, 1.5, 1.0) == pushed(again, other, 1.5, 1.0)
     assert np.array_equal(data.qpos, other.qpos)

@@ -11,7 +11,12 @@ import pytest
 
 from tests.meshes import box
 from tests.stand_in_meshes import stand_ins
-from yamsim_cli.core.config.mesh_provenance import PATTERN, PRIMITIVES, describe_remedy, mesh_differences
+from yamsim_cli.core.config.mesh_provenance import (
+    PRIMITIVES_ONLY,
+    PROVENANCE_PATTERN,
+    describe_remedy,
+    mesh_differences,
+)
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.errors import ResourceError
@@ -29,7 +34,7 @@ def drawn(locations: Locations) -> Callable[..., dict[str, str]]:
         said = with_mesh_descriptions(Session(config, replace(locations, meshes=meshes))).config.meshes
         assert said is not None
         for text in said.values():
-            assert re.fullmatch(PATTERN, text)
+            assert re.fullmatch(PROVENANCE_PATTERN, text)
         return dict(said)
 
     return of
@@ -74,8 +79,8 @@ def test_an_arm_that_lacks_one_of_its_sets_shows_primitives(
     meshes = stand_ins(tmp_path, locations, ARM, GRIPPER, YCB)
     assert {text.split()[0] for text in drawn(config, meshes).values()} == {"full"}
     said = drawn(config, meshes | {GRIPPER: None})
-    assert (said[ARM], said[GRIPPER]) == (PRIMITIVES, PRIMITIVES)
-    assert said[YCB] != PRIMITIVES
+    assert (said[ARM], said[GRIPPER]) == (PRIMITIVES_ONLY, PRIMITIVES_ONLY)
+    assert said[YCB] != PRIMITIVES_ONLY
 
 
 def test_two_arms_and_distractors_count(
@@ -85,8 +90,8 @@ def test_two_arms_and_distractors_count(
     one = drawn(make_config(), meshes)
     two = drawn(make_config({("rig",): "bimanual", ("randomization",): "default"}), meshes)
     assert one == {name: two[name] for name in (ARM, YCB)}
-    assert two[SMALL] != PRIMITIVES
-    assert drawn(make_config({("randomization",): "default"}), meshes | {SMALL: None})[SMALL] == PRIMITIVES
+    assert two[SMALL] != PRIMITIVES_ONLY
+    assert drawn(make_config({("randomization",): "default"}), meshes | {SMALL: None})[SMALL] == PRIMITIVES_ONLY
 
 
 def test_a_mount_of_ones_own_counts_where_it_is_seen(
@@ -122,8 +127,13 @@ FULL, OTHER = "full " + "0" * 64, "full " + "1" * 64
 @pytest.mark.parametrize(
     ("recorded", "now", "told", "todo"),
     [
-        ({"a": FULL}, {"a": PRIMITIVES}, "a: full 000000000000 there, primitives now", "`yamsim assets fetch`"),
-        ({"a": PRIMITIVES}, {"a": FULL}, "a: primitives there, full 000000000000 now", "set YAMSIM_ASSETS to an empty"),
+        ({"a": FULL}, {"a": PRIMITIVES_ONLY}, "a: full 000000000000 there, primitives now", "`yamsim assets fetch`"),
+        (
+            {"a": PRIMITIVES_ONLY},
+            {"a": FULL},
+            "a: primitives there, full 000000000000 now",
+            "set YAMSIM_ASSETS to an empty",
+        ),
         ({"a": FULL}, {"a": OTHER}, "a: full 000000000000 there, full 111111111111 now", "the meshes of the recording"),
         ({"a": FULL}, {}, "a: full 000000000000 there, not used now", "the meshes of the recording"),
     ],

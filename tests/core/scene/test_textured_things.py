@@ -17,7 +17,7 @@ from yamsim_cli.core.scene.objects.scene_object import add_object
 from yamsim_cli.objects.building import ImportOptions
 from yamsim_cli.objects.importing.file_import import ImportedObjectFile, import_file
 from yamsim_cli.objects.readers.object_reader import UnitOptions, read_object
-from yamsim_cli.viewers.show.scene_files import classic_xml, scene_files
+from yamsim_cli.viewers.show.scene_files import mujoco_3_3_xml, scene_files
 
 pytestmark = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
 
@@ -152,4 +152,4 @@ def test_a_body_by_its_distance_is_for_newer_mujocos(
     model = spec.compile()
     assert model.geom_type[model.geom("mug_collide_0").id] == mujoco.mjtGeom.mjGEOM_SDF
     with pytest.raises(UsageError, match="write it with --mujoco 4"):
-        classic_xml(spec, model)
+        mujoco_3_3_xml(spec, model)

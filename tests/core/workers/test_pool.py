@@ -12,12 +12,12 @@ from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.workers import worker_pool as pool_module
 from yamsim_cli.core.workers.executors import LostJobError
 from yamsim_cli.core.workers.worker_pool import (
-    START_SECONDS,
+    START_TIMEOUT,
     BaseWorkerPool,
-    Event,
     JobFailed,
     JobFinished,
     WorkerDied,
+    WorkerEvent,
     WorkerReady,
 )
 
@@ -43,7 +43,7 @@ class FakeBackend:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.puppets: list[FakeWorker] = []
-        self.script: list[tuple[float, list[tuple[int, Event[str]]]]] = []
+        self.script: list[tuple[float, list[tuple[int, WorkerEvent[str]]]]] = []
         self.now = 0.0
         monkeypatch.setattr(pool_module, "time", SimpleNamespace(monotonic=lambda: self.now))
 
@@ -51,7 +51,7 @@ class FakeBackend:
         self.puppets.append(FakeWorker(f"puppet-{number}"))
         return self.puppets[-1]
 
-    def wait(self, workers: Sequence[FakeWorker], timeout: float) -> list[tuple[FakeWorker, Event[str]]]:
+    def wait(self, workers: Sequence[FakeWorker], timeout: float) -> list[tuple[FakeWorker, WorkerEvent[str]]]:
         seconds, events = self.script.pop(0) if self.script else (timeout, [])
         self.now += seconds
         return [(self.puppets[k], event) for k, event in events if self.puppets[k] in workers]
@@ -59,7 +59,7 @@ class FakeBackend:
     def close(self) -> None:
         return
 
-    def hear(self, *events: tuple[int, Event[str]]) -> None:
+    def hear(self, *events: tuple[int, WorkerEvent[str]]) -> None:
         self.script.append((0.0, list(events)))
 
 
@@ -158,7 +158,7 @@ def test_starting_has_a_limit_of_its_own_and_does_not_count_on_the_job(theatre: 
     with BaseWorkerPool[str, str](theatre, 1, job_seconds=10) as pool:
         pool.submit("a")
         with pytest.raises(TimeoutError):
-            pool.next_result(START_SECONDS - 1)
+            pool.next_result(START_TIMEOUT - 1)
         theatre.hear((0, WorkerReady()))
         with pytest.raises(TimeoutError):
             pool.next_result(9)
@@ -170,7 +170,7 @@ def test_starting_has_a_limit_of_its_own_and_does_not_count_on_the_job(theatre: 
         theatre.hear((0, WorkerDied("x")))
         listen(pool)
         with pytest.raises(TimeoutError):
-            pool.next_result(START_SECONDS + 1)
+            pool.next_result(START_TIMEOUT + 1)
         assert theatre.puppets[1].killed
         theatre.hear((2, WorkerReady()))
         listen(pool)

@@ -114,7 +114,7 @@ def test_a_job_that_ends_every_worker_is_given_up_and_the_pool_goes_on(job: str,
 
 
 def test_a_worker_that_stops_in_the_middle_of_its_answer_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "MESSAGE_SECONDS", 0.2)
+    monkeypatch.setattr(workers, "MESSAGE_TIMEOUT", 0.2)
     with _pool() as pool:
         pool.submit("half")
         with pytest.raises(LostJobError, match="was killed by SIGKILL"):

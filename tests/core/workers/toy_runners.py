@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from yamsim_cli.core.errors import ResourceError, SimulationError
-from yamsim_cli.core.workers.job_server import HEADER
+from yamsim_cli.core.workers.job_server import ANSWER_HEADER
 from yamsim_cli.core.workers.worker_pool import JobFinished
 
 
@@ -66,7 +66,7 @@ class ToyRunner:
             case "forge":
                 # As another process, for another job, and then correctly.
                 for pid, number in ((os.getpid() + 1, int(argument)), (os.getpid(), int(argument) + 1)):
-                    _pipe().send_bytes(HEADER.pack(pid, number) + pickle.dumps(JobFinished("forged")))
+                    _pipe().send_bytes(ANSWER_HEADER.pack(pid, number) + pickle.dumps(JobFinished("forged")))
                 return "true"
             case "fork and exit":
                 if (child := os.fork()) == 0:

@@ -44,15 +44,15 @@ def test_a_plain_recording_is_read_with_a_warning(sample: SampleDataset, path: P
     assert facts.seconds == pytest.approx(5 * 0.064)
     assert facts.outcome.dxy_m == pytest.approx(0.002, abs=1e-6)
     assert facts.outcome.success
-    assert facts.starts["banana"] == pytest.approx((0.35, -0.1))
-    assert facts.ends["plate"] == pytest.approx((0.45, 0.08))
+    assert facts.start_positions["banana"] == pytest.approx((0.35, -0.1))
+    assert facts.end_positions["plate"] == pytest.approx((0.45, 0.08))
 
 
 def test_a_station_with_two_arms_is_read_too(sample: SampleDataset, path: Path, survey_of: Any) -> None:
     found = survey_of(sample.write_plain(path, station))
     assert [p.code for p in found.problems] == ["dataset.plain"]
     assert found.episodes[0].outcome is None
-    assert found.episodes[0].starts == {}
+    assert found.episodes[0].start_positions == {}
 
 
 def test_a_picture_that_stands_still_while_the_other_arm_moves(sample: SampleDataset, path: Path, found: Any) -> None:

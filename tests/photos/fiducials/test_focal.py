@@ -11,6 +11,7 @@ import pytest
 from tests.board_photos import ONE, TWO, facing, photograph
 from tests.random_views import LensSpread, random_camera, random_view
 from tools.bench.intervals import CASES, coverage, farthest, outcomes
+from yamsim_cli.camera_effects.lens_distortion import project_points
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.files.resources import Locations
@@ -24,7 +25,6 @@ from yamsim_cli.photos.fiducials.focal_length.focal_estimate import (
     find_outlines,
     known_focal,
 )
-from yamsim_cli.photos.lens_distortion import project_points
 
 SIZE = (640, 480)
 ADVICE = "photograph the board at a slant, or give --camera"

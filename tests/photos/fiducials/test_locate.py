@@ -18,10 +18,10 @@ from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_vector
 from yamsim_cli.photos.fiducials import markers
 from yamsim_cli.photos.fiducials.board_detection import BoardDetection, BoardStatus, PoseLimits
-from yamsim_cli.photos.fiducials.board_localization import locate_boards, locate_boards_together, with_pose
+from yamsim_cli.photos.fiducials.board_localization import locate_boards, locate_boards_together, replace_board_pose
 from yamsim_cli.photos.fiducials.fitting.blur_kernel import BlurKernel
 from yamsim_cli.photos.fiducials.fitting.pose_alignment import align_pose
-from yamsim_cli.photos.fiducials.fitting.print_view import PrintPiece
+from yamsim_cli.photos.fiducials.fitting.print_view import PrintedBoard
 from yamsim_cli.photos.fiducials.markers import find_markers, sorted_marker_ids
 
 WEBCAM = replace(
@@ -174,17 +174,17 @@ def test_a_longer_lens_moves_the_pose_as_the_uncertainty_says() -> None:
     longer = seen(photo, camera=CameraModel.from_focal_length(640, 480, 600 * math.exp(0.01)))
     shift = longer.T_board_in_cam[:3, 3] - right.T_board_in_cam[:3, 3]
     turn = rotation_vector(longer.T_board_in_cam[:3, :3] @ right.T_board_in_cam[:3, :3].T)
-    assert np.abs(shift - right.shared_errors[3:, 0]).max() < 1e-4
-    assert np.abs(turn - right.shared_errors[:3, 0]).max() < 2e-4
+    assert np.abs(shift - right.errors_shared_by_boards[3:, 0]).max() < 1e-4
+    assert np.abs(turn - right.errors_shared_by_boards[:3, 0]).max() < 2e-4
     # Mostly farther away, hardly to the side.
     assert shift[2] == pytest.approx(0.006, rel=0.1)
     assert np.abs(shift[:2]).max() < 3e-4
 
     larger = seen(photo, board=replace(ONE, marker_length=ONE.marker_length * 1.0025, gap=ONE.gap * 1.0025))
     shift = larger.T_board_in_cam[:3, 3] - right.T_board_in_cam[:3, 3]
-    assert np.abs(shift - right.shared_errors[3:, 1]).max() < 2e-5
-    assert right.shared_errors[3:, 1] == pytest.approx(0.0025 * truth[:3, 3], rel=1e-2)
-    assert np.abs(right.shared_errors[:3, 1]).max() < 1e-6
+    assert np.abs(shift - right.errors_shared_by_boards[3:, 1]).max() < 2e-5
+    assert right.errors_shared_by_boards[3:, 1] == pytest.approx(0.0025 * truth[:3, 3], rel=1e-2)
+    assert np.abs(right.errors_shared_by_boards[:3, 1]).max() < 1e-6
 
 
 @pytest.mark.slow
@@ -197,7 +197,7 @@ def test_the_uncertainty_is_that_of_many_photos() -> None:
     shifts = np.array([one.T_board_in_cam[:3, 3] - truth[:3, 3] for one in found if one.T_board_in_cam is not None])
     assert len(shifts) == 24
     first = found[0]
-    own = (first.covariance - first.shared_errors @ first.shared_errors.T)[3:, 3:]
+    own = (first.covariance - first.errors_shared_by_boards @ first.errors_shared_by_boards.T)[3:, 3:]
     spread = np.sqrt(np.diag(np.cov(shifts.T)))
     # It is inflated for effects beyond noise and rounding.
     assert (spread < np.sqrt(np.diag(own))).all()
@@ -247,10 +247,10 @@ def test_a_pose_from_elsewhere_gets_its_own_reprojection() -> None:
     sighting = seen(photo)
     off = truth.copy()
     off[0, 3] += 0.0005
-    moved = with_pose(photo, CAMERA, sighting, off)
+    moved = replace_board_pose(photo, CAMERA, sighting, off)
     assert moved.reprojection_rms == pytest.approx(0.5, abs=0.15)
     assert moved.T_board_in_cam is off
-    assert with_pose(photo, CAMERA, sighting, facing(5, 0, 0.6)).reprojection_rms is None
+    assert replace_board_pose(photo, CAMERA, sighting, facing(5, 0, 0.6)).reprojection_rms is None
 
 
 def test_a_turned_board_keeps_its_corners_in_order() -> None:
@@ -280,14 +280,14 @@ def test_a_creased_print_is_uncertain_and_its_interval_holds_the_pose(seed: int)
     assert "the print is creased or bent" in found.reason
     off = rotation_vector(found.T_board_in_cam[:3, :3] @ truth[:3, :3].T)
     assert off @ np.linalg.solve(found.covariance[:3, :3], off) < 7.815, "95 % of three degrees of freedom"
-    wide = PoseLimits(turn=math.radians(10.0), shift=1.0)
+    wide = PoseLimits(max_rotation_sigma=math.radians(10.0), max_position_sigma=1.0)
     assert locate_boards(photo, CAMERA, [ONE], limits=wide)[0][0].status is BoardStatus.OK
 
 
 def test_a_pose_beyond_the_limits_is_uncertain_but_given() -> None:
     truth = facing(0.0, 0.0, 0.5)
     photo = photograph(CAMERA, [(ONE, truth)])
-    for limits in (PoseLimits(turn=0.0), PoseLimits(shift=0.0)):
+    for limits in (PoseLimits(max_rotation_sigma=0.0), PoseLimits(max_position_sigma=0.0)):
         (found,), _ = locate_boards(photo, CAMERA, [ONE], limits=limits)
         assert found.status is BoardStatus.UNCERTAIN
         assert found.reason.startswith("its pose is uncertain by ")
@@ -299,7 +299,7 @@ def test_what_lies_beside_a_blurred_print_does_not_pull_it() -> None:
     off.
     """
     truth = facing(0.0, 0.0, 0.8, 0.9, 0.3)
-    whole = PrintPiece(ONE, np.eye(4), tuple(range(9)))
+    whole = PrintedBoard(ONE, np.eye(4), tuple(range(9)))
     fit = align_pose(picture(CAMERA, [(ONE, truth)], 4.0), CAMERA, [whole], truth, BlurKernel(3.5))
     assert fit.blur.blur == pytest.approx(4.0, abs=0.02)
     assert np.linalg.norm(fit.T_ref_in_cam[:3, 3] - truth[:3, 3]) < 2e-3

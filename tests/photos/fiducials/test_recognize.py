@@ -10,12 +10,13 @@ import pytest
 
 from tests.board_photos import CAMERA, ONE, TWO, facing, photograph, picture, pose_error, with_noise
 from tests.strangers import KINDS, stranger
+from yamsim_cli.camera_effects.lens_distortion import project_points
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector
 from yamsim_cli.photos.fiducials.board_detection import BoardStatus
 from yamsim_cli.photos.fiducials.board_localization import locate_boards
 from yamsim_cli.photos.fiducials.fitting.blur_kernel import BlurKernel
-from yamsim_cli.photos.fiducials.fitting.print_view import PrintPiece, print_plane, view_print
+from yamsim_cli.photos.fiducials.fitting.print_view import PrintedBoard, crop_photo_to_print, print_plane
 from yamsim_cli.photos.fiducials.recognition.board_candidates import (
     board_quads,
     dark_quads,
@@ -23,8 +24,11 @@ from yamsim_cli.photos.fiducials.recognition.board_candidates import (
     oriented_candidates,
     refine_candidates,
 )
-from yamsim_cli.photos.fiducials.recognition.marker_bits import marker_bits, measure_evidence, most_significant_markers
-from yamsim_cli.photos.lens_distortion import project_points
+from yamsim_cli.photos.fiducials.recognition.marker_bits import (
+    marker_bits,
+    measure_bit_agreement,
+    most_significant_markers,
+)
 
 
 def corners_of(board: Board, T: Array) -> Array:
@@ -32,10 +36,10 @@ def corners_of(board: Board, T: Array) -> Array:
 
 
 def chance(photo: np.ndarray, board: Board, T: Array) -> float:
-    piece = PrintPiece(board, np.eye(4), tuple(range(9)))
+    piece = PrintedBoard(board, np.eye(4), tuple(range(9)))
     plane = print_plane(piece, T)
-    view = view_print(photo.astype(np.float32), CAMERA, piece, plane)
-    return measure_evidence(view, plane, BlurKernel(0.6), 2.0).log_chance
+    view = crop_photo_to_print(photo.astype(np.float32), CAMERA, piece, plane)
+    return measure_bit_agreement(view, plane, BlurKernel(0.6), 2.0).log_chance_bound
 
 
 def test_the_bits_of_a_far_board_are_no_chance() -> None:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from tests.board_photos import CAMERA, facing, photograph, picture, with_noise
+from yamsim_cli.camera_effects.lens_distortion import project_points
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose
-from yamsim_cli.photos.lens_distortion import project_points
 from yamsim_cli.photos.overlay.photo_arm_poses import RigInPhoto, find_arms
 from yamsim_cli.photos.overlay.photo_cameras import PhotoCamera, estimate_camera
 from yamsim_cli.photos.overlay.photos import Photo

@@ -76,7 +76,7 @@ def test_no_moves_are_found_where_nothing_moved(russet: RigConfig) -> None:
     for seed in range(20):
         stillness = Series().told(russet, seed)
         assert stillness.moves == ()
-        assert stillness.unknown == ""
+        assert stillness.why_unknown == ""
 
 
 def test_a_base_that_moved_is_told_with_its_arm_photo_and_shift(russet: RigConfig) -> None:
@@ -116,7 +116,7 @@ def test_both_bases_at_once_are_several_moves(russet: RigConfig) -> None:
 def test_one_board_in_sight_leaves_open_what_moved(russet: RigConfig) -> None:
     unseen = frozenset((number, 1) for number in range(40))
     (move,) = Series(camera={20: by(x=0.005)}, unseen=unseen).told(russet).moves
-    assert (move.what, move.arm) == (MovedBody.EITHER, "arm1")
+    assert (move.what, move.arm) == (MovedBody.CAMERA_OR_BASE, "arm1")
 
 
 def test_wrong_poses_and_photos_without_one_are_no_moves(russet: RigConfig) -> None:
@@ -131,8 +131,8 @@ def test_no_moves_are_reported_for_a_handheld_camera(russet: RigConfig, photos: 
     carried = {number: by(x=0.02, turn_deg=1.0) for number in range(photos)}
     stillness = Series(photos, camera=carried).told(russet)
     assert stillness.moves == ()
-    assert "not on a stand" in stillness.unknown
+    assert "not on a stand" in stillness.why_unknown
 
 
 def test_no_moves_are_reported_for_few_photos(russet: RigConfig) -> None:
-    assert "fewer than 8 photos" in Series(photos=7, camera={3: by(x=0.1)}).told(russet).unknown
+    assert "fewer than 8 photos" in Series(photos=7, camera={3: by(x=0.1)}).told(russet).why_unknown

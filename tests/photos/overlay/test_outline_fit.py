@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from tests.rig_photos import RigPhoto
+from yamsim_cli.camera_effects.lens_distortion import project_points
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector
 from yamsim_cli.core.images.image_files import to_grey
-from yamsim_cli.photos.lens_distortion import project_points
 from yamsim_cli.photos.overlay.outline_fit import mask_iou, refine_poses, score_outlines
-from yamsim_cli.photos.overlay.photo_arm_poses import RECORDED, ArmBasePose, RigInPhoto
+from yamsim_cli.photos.overlay.photo_arm_poses import STATUS_RECORDED, ArmBasePose, RigInPhoto
 from yamsim_cli.photos.overlay.photo_cameras import PhotoCamera
 from yamsim_cli.photos.overlay.rendered_arms import ArmRenderer
 
@@ -38,7 +38,9 @@ def moved(T: Array, shift: tuple[float, float, float], turn: tuple[float, float,
 
 def with_poses(shot: RigPhoto, poses: dict[int, Array]) -> RigInPhoto:
     """A result whose poses are known to a degree and a centimetre only."""
-    arms = tuple(ArmBasePose(arm.name, None, RECORDED, None, poses.get(k)) for k, arm in enumerate(shot.rig.arms))
+    arms = tuple(
+        ArmBasePose(arm.name, None, STATUS_RECORDED, None, poses.get(k)) for k, arm in enumerate(shot.rig.arms)
+    )
     return RigInPhoto(Path("p.png"), PhotoCamera.from_calibration(shot.camera, "file"), "file", arms, ())
 
 
@@ -104,9 +106,9 @@ def test_the_score_says_how_many_pixels_it_is_off(russet_shot: RigPhoto, rendere
 def test_an_arm_in_front_of_the_other_is_not_blamed_for_it(russet_shot: RigPhoto, renderer: ArmRenderer) -> None:
     """Labels say which arm is visible, and an outline stops where the other arm covers it."""
     renderer.set_poses({k: russet_shot.T_base_in_cam(k) for k in (0, 1)}, russet_shot.stands)
-    both = renderer.flat_labels()
+    both = renderer.undistorted_label_image()
     renderer.set_poses({0: russet_shot.T_base_in_cam(0)}, russet_shot.stands)
-    one = renderer.flat_labels()
+    one = renderer.undistorted_label_image()
     assert set(np.unique(both)) == {0, 1, 2}
     assert set(np.unique(one)) == {0, 1}
     assert (one[both == 1] == 1).all()

@@ -20,18 +20,18 @@ from yamsim_cli.core.dataset.records import OutcomeRecord
 from yamsim_cli.core.episode.attempt_payload import frame_records
 from yamsim_cli.core.episode.episode_rules import EndRule, EpisodeRules
 from yamsim_cli.core.episode.simulator import Simulator, open_episode
-from yamsim_cli.core.episode.trials import run_expert_trials
 from yamsim_cli.core.errors import PartialJobError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.policies.evaluate.evaluation import (
     Evaluation,
     evaluate,
     evaluation_report,
-    require_measured,
+    require_measured_trials,
     trials_to_film,
 )
 from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
 from yamsim_cli.policies.evaluate.policy_trial import TrialEnd, TrialResult, TrialRunner
+from yamsim_cli.trials import run_expert_trials
 
 SAMPLES = Path(__file__).parents[1]
 N = 12
@@ -227,7 +227,7 @@ def test_trials_that_did_not_run_measure_nothing(ended: tuple[TrialEnd, ...], ra
         Evaluation(PolicyChoice("mine.py", SAMPLES), results, 1.0, ("banana", "pear")), config, ()
     )
     with contextlib.nullcontext() if ran else pytest.raises(PartialJobError, match=r"no trial of mine.py .*no free"):
-        require_measured(report)
+        require_measured_trials(report)
 
 
 def test_failures_are_shown_and_successes_on_request() -> None:

@@ -24,8 +24,9 @@ from yamsim_cli.policies.evaluate.evaluation import Evaluation, describe_objects
 from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
 from yamsim_cli.policies.evaluate.policy_factory import make_policy, policy_station
 from yamsim_cli.policies.evaluate.policy_trial import TrialEnd, TrialResult, TrialRunner
-from yamsim_cli.policies.external_policy import MappedPolicy, PolicyStation
+from yamsim_cli.policies.external_policy import MappedPolicy, PolicyScene
 from yamsim_cli.policies.openpi import pack_openpi, unpack_openpi
+from yamsim_cli.policies.policy_protocol import InvalidActionError
 
 pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
 pytest.importorskip("websockets", reason="yamsim[remote] is not installed")
@@ -55,7 +56,7 @@ class RecordingClient:
         pass
 
 
-STATION = PolicyStation(
+STATION = PolicyScene(
     "station", ("left", "right"), 7, (0.05, 0.04),
     {"left_wrist": "left_wrist_rgb", "right_wrist": "right_wrist_rgb", "top": "top_rgb", "scene": "scene_rgb"},
 )  # fmt: skip
@@ -112,6 +113,91 @@ def test_openpi_is_told_what_its_aloha_policy_expects(mapped: Callable[..., tupl
     assert (told["ctrl"].shape, told["period"]) == ((50, 14), 0.02)
 
 
+def test_the_makers_servers_are_told_what_its_client_tells_them(
+    mapped: Callable[..., tuple[Any, MappedPolicy]],
+) -> None:
+    client, policy = mapped("maker", actions=np.zeros((30, 14)))
+    assert (policy(OBSERVED)["ctrl"].shape, policy.lead) == ((30, 14), None)
+    message = client.asked[0]
+    assert set(message) == {"images", "state", "prompt"}
+    for role, value in (("top", 1), ("left", 2), ("right", 3)):
+        image = message["images"].pop(role)
+        assert (image.shape, image.dtype) == ((48, 64, 3), np.uint8)
+        assert (image == value).all()
+    assert message["images"] == {}
+
+
+def test_real_time_chunking_sends_the_end_of_the_plan(mapped: Callable[..., tuple[Any, MappedPolicy]]) -> None:
+    rows = np.arange(30.0)[:, None] / 30 + np.zeros(14)
+    client, policy = mapped("maker_rtc", actions=rows)
+    policy.reset(0)
+    state = np.array([*range(6), 0.5, *range(10, 16), 1.0], np.float32)
+    for _ in range(2):
+        for wanted in (np.tile(state, (4, 1)), rows[15:19], rows[15:19]):
+            told = policy(OBSERVED)
+            message = client.asked[-1]
+            assert set(message) == {"images", "state", "prompt", "action_prefix", "prefix_length"}
+            prefix = message["action_prefix"]
+            assert (prefix.dtype, message["prefix_length"]) == (np.float32, 4)
+            np.testing.assert_allclose(prefix, wanted, atol=1e-6)
+            # Without the repeated ones, fifteen.
+            np.testing.assert_allclose(told["ctrl"][:, 0], rows[4:19, 0])
+        policy.reset(1)
+    client.answer = {"actions": rows[:4]}
+    with pytest.raises(InvalidActionError, match="has 4 actions, and its first 4 repeat the plan"):
+        policy(OBSERVED)
+
+
+REALTIME = ONE.replace("hz: 31.25", "hz: 30") + "realtime_chunking: {length: 2, execute: 8, lead: 3}\n"
+
+
+def serve_continued(pause: float) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
+    """Serve a plan that goes on from its given end, after a real pause (s)."""
+
+    def infer(message: Mapping[str, Any]) -> dict[str, Any]:
+        assert set(message) == {"state", "instruction", "time", "seed", "action_prefix", "prefix_length"}
+        prefix = message["action_prefix"].astype(float)
+        assert (len(prefix), message["prefix_length"]) == (2, 2)
+        time.sleep(pause)
+        further = prefix[-1] + 0.01 * np.arange(1, 11)[:, None] * (np.arange(8) == 0)
+        return {"actions": np.concatenate([prefix, further]), "observed": message["state"]}
+
+    return infer
+
+
+def test_late_chunks_are_late_by_simulated_time(locations: Locations, config: RecordConfig, tmp_path: Path) -> None:
+    """At any speed of the server, a fixed latency gives the same trial; the plan goes on without a jump."""
+    (tmp_path / "one.yaml").write_text(REALTIME)
+    chunking = ChunkSettings(latency=0.2)
+    found = []
+    for pause in (0.0, 0.03):
+        infer = serve_continued(pause)
+        with openpi_server(lambda data, infer=infer: pack_openpi(infer(unpack_openpi(data)))) as url:  # type: ignore[misc]
+            choice = PolicyChoice(url, HERE, time_limit=1.6, mapping=str(tmp_path / "one.yaml"), chunking=chunking)
+            with TrialRunner(Session(config, locations), choice) as runner:
+                found.append(runner.run(AttemptJob(0, 0)))
+    assert [trial.error for trial in found] == ["", ""]
+    first, second = (trial.actions for trial in found)
+    assert first is not None and second is not None
+    np.testing.assert_array_equal(first.ctrl, second.ctrl)
+    assert found[0].chunk_stats == found[1].chunk_stats
+    # Seven ticks until the first chunk. Three actions and a half tick are shorter than the latency.
+    count = found[0].chunk_stats
+    assert (count.stale, count.waited > 7) == (0, True)
+    moved = np.diff(first.ctrl[7:, 0])
+    assert set(np.round(moved, 6)) == {0.0, 0.01}
+
+
+def test_flags_that_real_time_chunking_decides_are_refused(
+    locations: Locations, config: RecordConfig, tmp_path: Path
+) -> None:
+    (tmp_path / "one.yaml").write_text(REALTIME)
+    with openpi_server(lambda data: b"\x80") as url:
+        choice = PolicyChoice(url, HERE, mapping=str(tmp_path / "one.yaml"), chunking=ChunkSettings(execute=4))
+        with pytest.raises(UsageError, match="not for real-time chunking, which --policy-config one asks for"):
+            TrialRunner(Session(config, locations), choice)
+
+
 def test_arms_come_in_the_order_of_the_config(locations: Locations, tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text(
         "arms: [right, left]\ngripper: metres\nstate: {key: s, dtype: float64}\nactions: {key: a, hz: 10, weld: true}\n"
@@ -158,7 +244,7 @@ def test_a_mapping_that_does_not_fit_the_rig_is_told(config: RecordConfig, locat
     assert str(caught.value) == (
         "--policy-config molmoact2_yam: arms: on rig 'single' there is no left arm; valid: right"
     )
-    lone = PolicyStation("lone", ("left", "right"), 7, (0.05, 0.04), {"scene": "scene_rgb"})
+    lone = PolicyScene("lone", ("left", "right"), 7, (0.05, 0.04), {"scene": "scene_rgb"})
     mapping = load_config(PolicyConfig, "policies", "openpi_aloha", locations)
     with pytest.raises(UsageError, match=r"images.cam_left_wrist: on rig 'lone' there is no camera left_wrist; there"):
         MappedPolicy(RecordingClient(), mapping, lone)

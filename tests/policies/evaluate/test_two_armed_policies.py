@@ -14,7 +14,6 @@ from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.episode_rules import EndRule
-from yamsim_cli.core.episode.trials import run_expert_trials
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.policies.evaluate.evaluation import evaluate, evaluation_report
@@ -22,6 +21,7 @@ from yamsim_cli.policies.evaluate.observation import policy_cameras
 from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
 from yamsim_cli.policies.evaluate.policy_trial import TrialRunner
 from yamsim_cli.policies.policy_protocol import SCENE, WRIST
+from yamsim_cli.trials import run_expert_trials
 
 HERE = Path(__file__).parent
 SMALL = {("episodes",): 2, ("workers",): 1, ("wrist",): True, ("image", "size_px"): [48, 36]}

@@ -7,14 +7,14 @@ import pytest
 
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.real.gap.joint_curves import (
-    GRID_STEP,
     PHASES,
+    RESAMPLING_STEP,
     estimate_delay,
     find_command_stops,
     joints_at_rest,
     motion_phases,
     overshoot_after_stop,
-    smooth_curves,
+    resample_and_smooth,
 )
 
 
@@ -27,7 +27,7 @@ def trapezoid(times: Array) -> Array:
 @pytest.mark.parametrize("rate", [20, 100, 250])
 def test_phases_are_those_of_the_motion(rate: int) -> None:
     times = np.arange(0, 6, 1 / rate)
-    names = [str(PHASES[number]) for number in motion_phases(smooth_curves(times, trapezoid(times)), times)[:, 0]]
+    names = [str(PHASES[number]) for number in motion_phases(resample_and_smooth(times, trapezoid(times)), times)[:, 0]]
     found = {time: names[int(np.argmin(np.abs(times - time)))] for time in (0.5, 1.5, 3.0, 4.2, 5.5)}
     assert list(found.values()) == ["still", "accelerating", "cruising", "braking", "still"]
 
@@ -36,14 +36,14 @@ def test_noise_of_an_encoder_is_no_motion() -> None:
     times = np.arange(0, 6, 0.01)
     # rad, step of the manufacturer's CAN messages
     step = 25 / 65536
-    names = motion_phases(smooth_curves(times, np.round(trapezoid(times) / step) * step), times)[:, 0]
-    clean = motion_phases(smooth_curves(times, trapezoid(times)), times)[:, 0]
+    names = motion_phases(resample_and_smooth(times, np.round(trapezoid(times) / step) * step), times)[:, 0]
+    clean = motion_phases(resample_and_smooth(times, trapezoid(times)), times)[:, 0]
     assert (names == clean).mean() > 0.95
 
 
 def test_a_joint_is_at_rest_some_time_after_it_became_still() -> None:
     times = np.arange(0, 6, 0.01)
-    seen = smooth_curves(times, trapezoid(times))
+    seen = resample_and_smooth(times, trapezoid(times))
     times, resting = seen.times, joints_at_rest(seen, seen)[:, 0]
     assert not resting[times < 0.29].any() and resting[(times > 0.35) & (times < 0.9)].all()
     assert not resting[(times > 1.1) & (times < 4.7)].any() and resting[times > 5.1].all()
@@ -52,10 +52,10 @@ def test_a_joint_is_at_rest_some_time_after_it_became_still() -> None:
 def test_a_stop_is_found_with_its_direction() -> None:
     times = np.arange(0, 6, 0.01)
     for sign in (1.0, -1.0):
-        commands = smooth_curves(times, sign * trapezoid(times), steps=True)
+        commands = resample_and_smooth(times, sign * trapezoid(times), steps=True)
         (stop,) = find_command_stops(commands, 0)
         assert stop.direction == sign
-        assert stop.begin * GRID_STEP == pytest.approx(4.45, abs=0.15)
+        assert stop.begin * RESAMPLING_STEP == pytest.approx(4.45, abs=0.15)
         bump = 0.03 * np.exp(-(((commands.times - 4.7) / 0.05) ** 2))
         assert overshoot_after_stop(sign * (trapezoid(commands.times)[:, 0] + bump), stop) == pytest.approx(
             0.03, abs=2e-3
@@ -66,7 +66,7 @@ def test_a_stop_is_found_with_its_direction() -> None:
 def test_a_pause_is_no_stop() -> None:
     times = np.arange(0, 3, 0.01)
     paused = np.interp(times, [0, 1, 1.5, 1.7, 2.2, 3], [0, 0, 0.5, 0.5, 1.0, 1.0])[:, None]
-    assert len(list(find_command_stops(smooth_curves(times, paused, steps=True), 0))) == 1
+    assert len(list(find_command_stops(resample_and_smooth(times, paused, steps=True), 0))) == 1
 
 
 @pytest.mark.parametrize("shift", [-0.0113, 0.0, 0.0037, 0.024, 0.31])
@@ -77,19 +77,19 @@ def test_a_delay_is_found_between_samples(shift: float) -> None:
         return (0.3 * np.sin(3 * at) + 0.1 * np.sin(7.3 * at))[:, None]
 
     late = 0.7 * motion(times - shift) + 0.05
-    assert estimate_delay(smooth_curves(times, motion(times)), smooth_curves(times, late), 0) == pytest.approx(
-        shift, abs=5e-4
-    )
+    assert estimate_delay(
+        resample_and_smooth(times, motion(times)), resample_and_smooth(times, late), 0
+    ) == pytest.approx(shift, abs=5e-4)
 
 
 def test_motions_that_have_nothing_in_common_have_no_delay() -> None:
     times = np.arange(0, 10, 0.01)
     one, other = np.sin(3 * times)[:, None], np.sign(np.sin(11 * times + 1))[:, None]
-    assert estimate_delay(smooth_curves(times, one), smooth_curves(times, other), 0) is None
-    assert estimate_delay(smooth_curves(times, one), smooth_curves(times, 1e-3 * one), 0) is None
+    assert estimate_delay(resample_and_smooth(times, one), resample_and_smooth(times, other), 0) is None
+    assert estimate_delay(resample_and_smooth(times, one), resample_and_smooth(times, 1e-3 * one), 0) is None
 
 
 def test_commands_stay_until_the_next_one() -> None:
     times = np.array([0.0, 0.1, 0.2])
-    held = smooth_curves(times, np.array([[0.0], [1.0], [2.0]]), steps=True)
-    assert held.values[round(0.09 / GRID_STEP), 0] == 0 and held.values[round(0.1 / GRID_STEP), 0] == 1
+    held = resample_and_smooth(times, np.array([[0.0], [1.0], [2.0]]), steps=True)
+    assert held.values[round(0.09 / RESAMPLING_STEP), 0] == 0 and held.values[round(0.1 / RESAMPLING_STEP), 0] == 1

@@ -19,7 +19,7 @@ from yamsim_cli.core.robots.dynamics import JointDynamics, MeasuredArmDynamics
 from yamsim_cli.real.identify import parameter_fit as fitting
 from yamsim_cli.real.identify.estimates import ESTIMATE_NAMES, Estimate, estimate_parameters, interval_half_widths
 from yamsim_cli.real.identify.excitation import generate_excitation
-from yamsim_cli.real.identify.identification import check_logs_usable, identify_arms, revised_dynamics
+from yamsim_cli.real.identify.identification import check_logs_usable, dynamics_with_estimates, identify_arms
 from yamsim_cli.real.identify.parameter_fit import FitParameter, all_parameters, fit_parameters
 from yamsim_cli.real.identify.plant_model import ArmLog, LogSimulation, ParametricArm, PlantParameters
 
@@ -176,7 +176,7 @@ def test_a_revision_of_a_revision_keeps_parameters_that_no_log_determines() -> N
         for number in [fitting.parameter_value(plant.model_values, each)]
     ]
 
-    found = revised_dynamics(plant, was, told)
+    found = dynamics_with_estimates(plant, was, told)
 
     assert plant.model_values.delay == pytest.approx(0.016)
     assert (found.command_delay_ms, found.sensor_delay_ms) == (pytest.approx(16.0), 0.0)

@@ -23,7 +23,7 @@ from tests.real.recordings.making import (
 )
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.reader import open_episode, open_recorded_episode, read_recorded_rig, read_recording_config
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.errors import ConfigError, DatasetError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import pose
@@ -162,8 +162,8 @@ def test_resuming_keeps_existing_episodes(single: RigConfig, locations: Location
     before = (tmp_path / "real/ep_000000/episode.json").stat().st_mtime_ns
     with pytest.raises(UsageError, match="--resume"):
         bring_in(replace(request, sources=[one, two]), locations)
-    report = bring_in(replace(request, sources=[one, two], mode=OpenMode.RESUME), locations)
-    assert (report.kept, report.episodes) == (1, 1)
+    report = bring_in(replace(request, sources=[one, two], mode=ExistingDatasetMode.RESUME), locations)
+    assert (report.kept_episodes, report.episodes) == (1, 1)
     assert (tmp_path / "real/ep_000000/episode.json").stat().st_mtime_ns == before
     with pytest.raises(ConfigError, match="gripper"):
-        bring_in(replace(request, mode=OpenMode.RESUME, corrections=Corrections(gripper="share")), locations)
+        bring_in(replace(request, mode=ExistingDatasetMode.RESUME, corrections=Corrections(gripper="share")), locations)

@@ -67,7 +67,7 @@ def test_feedback_by_hand() -> None:
 
 
 def test_a_motor_acts_only_once_enabled(motor: Motor) -> None:
-    command = mit(1.0, 0.0, 20.0, 0.5, 0.0, motor.kind.scale)
+    command = mit(1.0, 0.0, 20.0, 0.5, 0.0, motor.kind.value_ranges)
     assert status(say(motor, command)) == MotorStatus.DISABLED
     assert motor.control_law() == (0, 0, 0)
     assert status(say(motor, ENABLE)) == MotorStatus.ENABLED
@@ -114,7 +114,7 @@ def test_set_zero_moves_the_zero_position(motor: Motor) -> None:
     answer = say(motor, ZERO)
     assert answer is not None and int.from_bytes(answer.data[1:3], "big") == 0x7FFF
     say(motor, ENABLE)
-    say(motor, mit(1.0, 0.0, 10.0, 0.0, 0.0, motor.kind.scale))
+    say(motor, mit(1.0, 0.0, 10.0, 0.0, 0.0, motor.kind.value_ranges))
     kp, _, constant = motor.control_law()
     # It pulls towards 1 rad from there.
     assert constant / kp == pytest.approx(3.0, abs=0.001)
@@ -183,7 +183,7 @@ def test_random_frames_do_no_harm() -> None:
 
 
 def test_a_lost_motor_is_silent_and_comes_back_disabled() -> None:
-    bus = MotorBus("can0", [Motor(1, MOTOR_KINDS["DM4340"])], [BusFault("lost", motor=1, at=1.0, seconds=1.0)])
+    bus = MotorBus("can0", [Motor(1, MOTOR_KINDS["DM4340"])], [BusFault("lost", motor=1, start_time=1.0, seconds=1.0)])
     assert bus.send(CanFrame(1, ENABLE), 0.5)
     bus.advance_to(1.0)
     assert bus.send(CanFrame(1, ENABLE), 1.1) == []
@@ -203,7 +203,7 @@ def test_as_many_frames_get_lost_as_the_fault_says() -> None:
     """In each direction; the same frames for the same seed."""
 
     def answered(seed: int) -> list[bool]:
-        bus = MotorBus("can0", [Motor(1, MOTOR_KINDS["DM4340"])], [BusFault("drop", share=0.2)], seed)
+        bus = MotorBus("can0", [Motor(1, MOTOR_KINDS["DM4340"])], [BusFault("drop", lost_frame_share=0.2)], seed)
         bus.advance_to(0.01)
         return [bool(bus.send(CanFrame(1, ENABLE), 0.01)) for _ in range(2000)]
 
@@ -214,7 +214,7 @@ def test_as_many_frames_get_lost_as_the_fault_says() -> None:
 def test_a_fault_by_its_flag() -> None:
     assert parse_fault("lost:motor=3,at=5,for=2,channel=can_left") == BusFault("lost", "can_left", 3, 5.0, 2.0)
     assert parse_fault("stuck") == BusFault("stuck")
-    assert parse_fault("drop:share=0.5").share == 0.5
+    assert parse_fault("drop:share=0.5").lost_frame_share == 0.5
 
 
 @pytest.mark.parametrize(

@@ -151,7 +151,7 @@ def grey_of(frame: int) -> int:
 
 
 def _messages() -> dict[str, Any]:
-    """Message name -> class: `RobotState`, `GripperState`, `Instruction` and `CompressedVideo`."""
+    """Message name -> class: `RobotState`, `GripperState`, `Instructions` and `CompressedVideo`."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     kinds = descriptor_pb2.FieldDescriptorProto
@@ -159,7 +159,7 @@ def _messages() -> dict[str, Any]:
     fields = {
         "RobotState": [("position", kinds.TYPE_DOUBLE, kinds.LABEL_REPEATED)],
         "GripperState": [("position", kinds.TYPE_DOUBLE, kinds.LABEL_REPEATED)],
-        "Instruction": [("text", kinds.TYPE_STRING, kinds.LABEL_OPTIONAL)],
+        "Instructions": [("data", kinds.TYPE_STRING, kinds.LABEL_OPTIONAL)],
         "CompressedVideo": [
             ("data", kinds.TYPE_BYTES, kinds.LABEL_OPTIONAL),
             ("format", kinds.TYPE_STRING, kinds.LABEL_OPTIONAL),
@@ -211,7 +211,7 @@ def write_mcap(
             time = START_NS + round(motion.times[k] * 1e9)
             writer.write_message(topic, message, log_time=time, publish_time=time)
 
-        say("/instruction", kinds["Instruction"](text=PROMPT), 0)
+        say("/instruction", kinds["Instructions"](data=PROMPT), 0)
         for k in range(len(motion.times)):
             for side, rows, commands in zip(("left", "right"), measured, commanded, strict=True):
                 say(f"/{side}-arm-state", kinds["RobotState"](position=rows[k, :6]), k)

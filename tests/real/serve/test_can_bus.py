@@ -186,7 +186,7 @@ def test_an_interface_of_the_kernels_carries_the_same_frames(kernel: list[CanSoc
 
 
 def test_a_flood_on_an_interface_is_read_in_parts(kernel: list[CanSocket], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(can_bus, "READ_FRAMES", 5)
+    monkeypatch.setattr(can_bus, "MAX_FRAMES_PER_READ", 5)
     bus = KernelBus("can0")
     for _ in range(8):
         kernel[0].other.send(ENABLE)

@@ -14,7 +14,7 @@ import msgpack
 import numpy as np
 import pytest
 
-from yamsim_cli.real.serve.portal import HANDSHAKE, PortalError, PortalServer, pack_tree, unpack_tree
+from yamsim_cli.real.serve.portal import HANDSHAKE_BYTES, PortalError, PortalServer, pack_tree, unpack_tree
 
 # `portal.packlib.pack({"joint_pos": np.arange(2.0), "n": 3})` of 3.8.3, joined.
 PACKED = bytes.fromhex(
@@ -59,7 +59,7 @@ def server(arm: Arm) -> Iterator[PortalServer]:
     made.close()
 
 
-def join(server: PortalServer, greeting: bytes = HANDSHAKE) -> socket.socket:
+def join(server: PortalServer, greeting: bytes = HANDSHAKE_BYTES) -> socket.socket:
     one = socket.create_connection(("127.0.0.1", server.port), timeout=5)
     one.sendall(greeting)
     serve(server)
@@ -159,7 +159,7 @@ def test_invalid_messages_are_refused(data: bytes) -> None:
 
 
 def test_another_greeting_or_a_message_without_end_is_hung_up_on(server: PortalServer) -> None:
-    for said in (b"GET / HTTP/1.1\r\n\r\n", HANDSHAKE + (2**40).to_bytes(8, "little")):
+    for said in (b"GET / HTTP/1.1\r\n\r\n", HANDSHAKE_BYTES + (2**40).to_bytes(8, "little")):
         one = join(server, said)
         assert one.recv(8) == b""
 

@@ -26,7 +26,7 @@ from yamsim_cli.core.attempt_data import Attempt, AttemptJob, AttemptPayload, Fa
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord, to_json
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.dataset.writing.ledger import Ledger
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.episode.episode_rules import REPLAY_RULES
@@ -39,7 +39,7 @@ from yamsim_cli.core.scene.build import with_mesh_descriptions
 from yamsim_cli.viewers.teleop.attempt_writer import AttemptWriter, TeleopAttemptRenderer
 from yamsim_cli.viewers.teleop.command_stream import StreamPlayer, read_stream
 from yamsim_cli.viewers.teleop.teleop_scene import TeleopScene
-from yamsim_cli.viewers.teleop.teleop_session import Jitter, TickClock, open_teleop
+from yamsim_cli.viewers.teleop.teleop_session import TickClock, TickJitter, open_teleop
 
 
 @pytest.fixture
@@ -370,7 +370,7 @@ def test_joints_of_both_arms_in_a_row_are_checked(
             read_stream(stream, russet)
 
 
-def pace_of(slow: tuple[float, ...], monkeypatch: pytest.MonkeyPatch) -> tuple[Jitter, float]:
+def pace_of(slow: tuple[float, ...], monkeypatch: pytest.MonkeyPatch) -> tuple[TickJitter, float]:
     """Return the jitter of a loop whose turns take given times, s, and the start of its last turn."""
     now = [0.0]
     monkeypatch.setattr("yamsim_cli.viewers.teleop.teleop_session.time.monotonic", lambda: now[0])
@@ -463,7 +463,7 @@ def test_a_damaged_ledger_line_loses_its_attempt_alone(
     """A demonstration cannot be repeated; its line states so."""
     out = tmp_path / "out"
     with DatasetWriter(
-        out, with_mesh_descriptions(Session(config, locations)).config.data_config(), OpenMode.NEW
+        out, with_mesh_descriptions(Session(config, locations)).config.data_config(), ExistingDatasetMode.NEW
     ) as writer:
         for k in range(3):
             writer.log_attempt(failed_attempt(k))
@@ -471,7 +471,7 @@ def test_a_damaged_ledger_line_loses_its_attempt_alone(
     (out / "attempts.jsonl").write_bytes(b"{\n" + b"".join(lines[1:]) + to_json(made(0, 3).attempt))
     said: list[str] = []
     for _ in range(2):
-        with open_teleop(Session(config, locations), out, OpenMode.RESUME, said.append) as session:
+        with open_teleop(Session(config, locations), out, ExistingDatasetMode.RESUME, said.append) as session:
             assert session.attempts.next_attempt == 4
     assert said[0].startswith("attempts.jsonl was damaged (line 1: ")
     assert said[1:] == [

@@ -8,9 +8,10 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from ...camera_effects.config import CameraEffects
 from ..errors import ConfigError, UsageError, suggest_similar
 from ..files.documents.config_base import Config, ConfigReference, ConflictError
-from ..files.documents.units import RECORDED
+from ..files.documents.units import SKIP_BOUNDS_CONTEXT
 from ..files.documents.validation_messages import (
     detect_other_kind,
     explain_conflict,
@@ -27,7 +28,7 @@ from . import robot_families as robot_names
 from .cameras.camera import CameraConfig
 from .objects.object_config import ObjectConfig
 from .policy import PolicyConfig
-from .program_task import PROGRAM, ProgramTask
+from .program_task import PROGRAM_KIND, ProgramTask
 from .randomization import RandomizationConfig
 from .real_recordings import RecordingNames
 from .recording import RecordConfig
@@ -42,6 +43,7 @@ CONFIG_KINDS: Mapping[str, type[Config]] = {
     "tasks": ProgramTask,
     "objects": ObjectConfig,
     "cameras": CameraConfig,
+    "camera_effects": CameraEffects,
     "quality": RenderConfig,
     "randomization": RandomizationConfig,
     "policies": PolicyConfig,
@@ -54,13 +56,13 @@ CONFIG_KINDS: Mapping[str, type[Config]] = {
 
 REVISION_KEY = "revision"  # last key of an override path below a rig: the version of its arm models to use
 DYNAMICS_KEY = "robot"  # last key of an override path below a rig: files with measured dynamics of its arms
-_JOINED = "+"  # separator of arm and gripper in the name of a rig, such as `yam_pro+linear_4310`
-_DYNAMICS = "revisions"
+_ARM_GRIPPER_SEPARATOR = "+"  # separator of arm and gripper in the name of a rig, such as `yam_pro+linear_4310`
+_DYNAMICS_CONFIG_KIND = "revisions"
 
 C = TypeVar("C", bound=Config)
 
-Check = Callable[[Config], None]
-Upgrade = Callable[[dict[str, Any]], dict[str, Any]]
+ConfigCheck = Callable[[Config], None]
+UpgradeFunction = Callable[[dict[str, Any]], dict[str, Any]]
 
 
 def config_model(kind: str) -> type[Config]:
@@ -72,7 +74,7 @@ def config_model(kind: str) -> type[Config]:
 
 def _require_task_kind(document: Document) -> None:
     kind = document.data.get("kind")
-    valid = (PROGRAM, *OLDER_KINDS)
+    valid = (PROGRAM_KIND, *OLDER_KINDS)
     if kind is not None and kind not in valid:
         raise ConfigError(
             f"{document.place_of(('kind',))}: kind: unknown kind {kind!r}; {suggest_similar(str(kind), valid)}"
@@ -90,7 +92,7 @@ def load_config(
     name: str,
     locations: Locations,
     overrides: Mapping[KeyPath, tuple[str, Any]] | None = None,
-    check: Check | None = None,
+    check: ConfigCheck | None = None,
 ) -> C:
     """Read a config, insert the configs that it names, apply overrides, and return the validated result.
 
@@ -124,12 +126,14 @@ def load_config(
     return _validate_document(model, document, locations, flags, check=check)
 
 
-def validate_file(model: type[C], path: Path, locations: Locations, *, check: Check | None = None) -> C:
-    """Return the validated config in a file; arguments and errors are those of `parse_config` and `load_config`."""
+def validate_file(model: type[C], path: Path, locations: Locations, *, check: ConfigCheck | None = None) -> C:
+    """Return the validated config in a file; for arguments and errors, see `parse_config` and `load_config`."""
     return _validate_document(model, _read_config_document(model, path), locations, check=check)
 
 
-def parse_config(model: type[C], text: str, source: str, locations: Locations, *, upgrade: Upgrade | None = None) -> C:
+def parse_config(
+    model: type[C], text: str, source: str, locations: Locations, *, upgrade: UpgradeFunction | None = None
+) -> C:
     """Return the validated config in YAML text. Raises as `load_config`.
 
     Args:
@@ -143,7 +147,7 @@ def parse_config(model: type[C], text: str, source: str, locations: Locations, *
 
 
 def _load_named(model: type[Config], kind: str, name: str, locations: Locations) -> Document:
-    if kind == "rigs" and _JOINED in name and not name.endswith((".yaml", ".yml")):
+    if kind == "rigs" and _ARM_GRIPPER_SEPARATOR in name and not name.endswith((".yaml", ".yml")):
         return _single_arm_rig(name)
     if kind == robot_names.ARMS:
         name = robot_names.resolve_model_name(name, locations)
@@ -152,7 +156,7 @@ def _load_named(model: type[Config], kind: str, name: str, locations: Locations)
 
 def _single_arm_rig(name: str) -> Document:
     """Return a rig of one arm from the names of robot and gripper: `yam_pro+linear_4310`."""
-    robot, _, gripper = name.partition(_JOINED)
+    robot, _, gripper = name.partition(_ARM_GRIPPER_SEPARATOR)
     document = parse_yaml("{}", f"rig {name}")
     arm = {"name": "arm1", "side": "right", "model": robot, "gripper": gripper}
     document.data.update({"name": f"{robot}_{gripper}", "arms": [arm]})
@@ -172,7 +176,7 @@ def _add_dynamics(document: Document, path: KeyPath, files: Sequence[str], place
     """Add the dynamics in each file to the arms with the same model and side in the rig at `path`."""
     for file in files:
         try:
-            dynamics = _load_named(MeasuredArmDynamics, _DYNAMICS, file, locations)
+            dynamics = _load_named(MeasuredArmDynamics, _DYNAMICS_CONFIG_KIND, file, locations)
         except ConfigError as error:
             raise (UsageError if is_flag_or_keyword(place) else ConfigError)(f"{place}: {error}") from error
         if instead := _explain_other_kind(MeasuredArmDynamics, dynamics):
@@ -220,7 +224,7 @@ def _upgrade_task_in_place(task: dict[str, Any]) -> None:
 
 
 def _explain_other_kind(model: type[Config], document: Document) -> str | None:
-    """Return an error message if the file's keys are those of another kind of config; else None."""
+    """Return an error message if the file has the keys of another kind of config; else None."""
     kind = next((kind for kind, known in CONFIG_KINDS.items() if known is model), None)
     if kind is None or (instead := detect_other_kind(CONFIG_KINDS, kind, document.data)) is None:
         return None
@@ -235,7 +239,7 @@ def _validate_document(
     flags: Mapping[KeyPath, str] | None = None,
     *,
     recorded: bool = False,
-    check: Check | None = None,
+    check: ConfigCheck | None = None,
 ) -> C:
     if instead := _explain_other_kind(model, document):
         raise ConfigError(instead)
@@ -243,7 +247,7 @@ def _validate_document(
         _require_task_kind(document)
     _resolve_references(model, document, (), locations)
     try:
-        config = model.model_validate(document.data, context=RECORDED if recorded else None)
+        config = model.model_validate(document.data, context=SKIP_BOUNDS_CONTEXT if recorded else None)
         if check is not None:
             check(config)
         return config
@@ -313,7 +317,7 @@ def _with_dynamics(document: Document, path: KeyPath, file: str, locations: Loca
     """Add the dynamics in a file beside the `model` at `path`, and return the name of the robot model."""
     key = (*path[:-1], "dynamics")
     try:
-        dynamics = _load_named(MeasuredArmDynamics, _DYNAMICS, file, locations)
+        dynamics = _load_named(MeasuredArmDynamics, _DYNAMICS_CONFIG_KIND, file, locations)
     except ConfigError as error:
         raise ConfigError(f"{document.place_of(path)}: {format_key_path(path)}: {error}") from error
     document.insert_document(key, dynamics)

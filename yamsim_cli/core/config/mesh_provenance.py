@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-PRIMITIVES = "primitives"
-FULL = "full"
-REDUCED = "reduced"
+PRIMITIVES_ONLY = "primitives"
+FULL_MESHES = "full"
+REDUCED_MESHES = "reduced"
 
-PATTERN = rf"^({PRIMITIVES}|({FULL}|{REDUCED}) [0-9a-f]{{64}})$"
+PROVENANCE_PATTERN = rf"^({PRIMITIVES_ONLY}|({FULL_MESHES}|{REDUCED_MESHES}) [0-9a-f]{{64}})$"
 
-_DIGITS = 12  # digits of a hash in messages
+_SHOWN_HASH_DIGITS = 12  # digits of a hash in messages
 
 # Asset set -> description.
 ShownMeshes = Mapping[str, str]
@@ -24,7 +24,7 @@ def describe_mesh_content(text: str | None) -> str:
     if text is None:
         return "not used"
     kind, _, digest = text.partition(" ")
-    return f"{kind} {digest[:_DIGITS]}" if digest else kind
+    return f"{kind} {digest[:_SHOWN_HASH_DIGITS]}" if digest else kind
 
 
 def mesh_differences(one: ShownMeshes, other: ShownMeshes, places: tuple[str, str] = ("there", "now")) -> list[str]:
@@ -40,8 +40,8 @@ def mesh_differences(one: ShownMeshes, other: ShownMeshes, places: tuple[str, st
 def describe_remedy(recorded: ShownMeshes, now: ShownMeshes) -> str:
     """Return what a user has to do so that images show the meshes of a recorded dataset again."""
     changed = [name for name in recorded if recorded[name] != now.get(name)]
-    if any(now.get(name) == PRIMITIVES for name in changed):
+    if any(now.get(name) == PRIMITIVES_ONLY for name in changed):
         return "run `yamsim assets fetch`, or set YAMSIM_ASSETS to the folder of the meshes"
-    if any(recorded[name] == PRIMITIVES for name in changed):
+    if any(recorded[name] == PRIMITIVES_ONLY for name in changed):
         return "to continue with primitives, set YAMSIM_ASSETS to an empty folder"
     return "set YAMSIM_ASSETS to the meshes of the recording"

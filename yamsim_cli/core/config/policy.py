@@ -10,13 +10,14 @@ from ..files.documents.config_base import Config, ConflictError, Name
 from ..files.documents.units import QuantityBounds
 
 # A key in a message of another program, such as `observation.images.top`.
-Key = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_./]*$", max_length=100)]
+MessageKey = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_./]*$", max_length=100)]
 Dtype = Literal["float32", "float64"]
-Fit = Literal["stretch", "pad"]
-Layout = Literal["rows", "channels"]
+AspectRatioMode = Literal["stretch", "pad"]
+ImageAxisOrder = Literal["rows", "channels"]
 
 CameraName = Name  # "scene", "wrist", "left_wrist", "right_wrist", or the name of a station's camera
-Constant = bool | int | float | str
+_CHUNKING_KEYS = ("prefix_key", "length_key")
+ConstantValue = bool | int | float | str
 
 
 class PictureMapping(Config):
@@ -32,15 +33,15 @@ class PictureMapping(Config):
 
     cameras: tuple[CameraName, ...] = Field(min_length=1)
     size_px: tuple[Annotated[int, Field(ge=8, le=2048)], Annotated[int, Field(ge=8, le=2048)]] | None = None
-    fit: Fit = "stretch"
-    layout: Layout = "rows"
+    fit: AspectRatioMode = "stretch"
+    layout: ImageAxisOrder = "rows"
     optional: bool = False
 
 
 class StateMapping(Config):
     """A row of numbers: the arms' joints and grippers, or the poses of objects."""
 
-    key: Key
+    key: MessageKey
     dtype: Dtype = "float32"
 
 
@@ -56,11 +57,38 @@ class ActionsMapping(Config):
         done_key: key of a boolean in the answer that ends the trial after these actions.
     """
 
-    key: Key = "actions"
+    key: MessageKey = "actions"
     weld: bool = False
     hz: Annotated[float, QuantityBounds("a second", 0.1, 1000)]
-    period_ms_key: Key | None = None
-    done_key: Key | None = None
+    period_ms_key: MessageKey | None = None
+    done_key: MessageKey | None = None
+
+
+class RealtimeChunking(Config):
+    """Real-time chunking: a request has the end of the current plan, from which the next chunk continues.
+
+    A chunk begins when the one before it is over. The first request has the current state, repeated.
+
+    Attributes:
+        prefix_key: key of the last planned actions (length, numbers), float32.
+        length_key: key of their number.
+        length: number of these actions. An answer begins with them, and they are not executed again.
+        execute: executed actions of an answer, after those.
+        lead: actions of the current chunk that are left when the next chunk is requested.
+    """
+
+    prefix_key: MessageKey = "action_prefix"
+    length_key: MessageKey = "prefix_length"
+    length: Annotated[int, Field(ge=1, le=100)] = 4
+    execute: Annotated[int, Field(ge=1, le=1000)] = 15
+    lead: Annotated[int, Field(ge=0, le=999)] = 4
+
+    @model_validator(mode="after")
+    def _fits_a_chunk(self) -> RealtimeChunking:
+        for key in ("length", "lead"):
+            if getattr(self, key) > self.execute:
+                raise ConflictError(f"{getattr(self, key)} actions are more than execute, {self.execute}", (key,))
+        return self
 
 
 class PolicyConfig(Config):
@@ -77,6 +105,7 @@ class PolicyConfig(Config):
         time: key of the time since the trial's start, s.
         seed: key of the trial's seed.
         constants: key -> constant value in every observation.
+        realtime_chunking: how chunks continue each other; if left out, each chunk is for its own observation alone.
     """
 
     name: Name
@@ -84,13 +113,14 @@ class PolicyConfig(Config):
     gripper: Literal["share", "metres"]
     state: StateMapping | None = None
     environment_state: StateMapping | None = None
-    images: dict[Key, PictureMapping] = Field(default={}, max_length=16)
-    images_under: Key | None = None
-    prompt: Key | None = None
-    time: Key | None = None
-    seed: Key | None = None
-    constants: dict[Key, Constant] = Field(default={}, max_length=32)
+    images: dict[MessageKey, PictureMapping] = Field(default={}, max_length=16)
+    images_under: MessageKey | None = None
+    prompt: MessageKey | None = None
+    time: MessageKey | None = None
+    seed: MessageKey | None = None
+    constants: dict[MessageKey, ConstantValue] = Field(default={}, max_length=32)
     actions: ActionsMapping
+    realtime_chunking: RealtimeChunking | None = None
 
     @model_validator(mode="after")
     def _keys_are_unique(self) -> PolicyConfig:
@@ -103,6 +133,7 @@ class PolicyConfig(Config):
             (self.prompt, ("prompt",)),
             (self.time, ("time",)),
             (self.seed, ("seed",)),
+            *((getattr(self.realtime_chunking, key, None), ("realtime_chunking", key)) for key in _CHUNKING_KEYS),
             *((key, ("constants", key)) for key in self.constants),
         ]
         seen: dict[str, tuple[str, ...]] = {}

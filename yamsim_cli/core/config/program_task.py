@@ -24,8 +24,8 @@ from ..files.documents.units import (
     OffsetPoint,
     Place,
     QuantityBounds,
-    ReachRange,
     Share,
+    WorkspaceRange,
     is_recorded_config,
 )
 from .goals.goal import Goal
@@ -34,7 +34,7 @@ from .goals.role_assignment import RoleAssignment
 from .goals.world import TABLE
 from .objects.object_config import ObjectConfig
 
-PROGRAM = "program"  # the `kind` of tasks
+PROGRAM_KIND = "program"  # the `kind` of tasks
 
 # A weld constraint; friction; or a constraint for cloth and friction for all other objects.
 GraspKind = Literal["weld", "contact", "cloth_constraint"]
@@ -43,7 +43,9 @@ ActingOrder = Literal["first", "second"]
 StartOrientation = Literal["upright", "lying", "upside_down"]
 
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
-_Lift = Annotated[FiniteFloat, Field(ge=0.1, le=0.8)]  # drop height of a cloth, as a share of its half diagonal
+_ClothDropHeight = Annotated[
+    FiniteFloat, Field(ge=0.1, le=0.8)
+]  # drop height of a cloth, as a share of its half diagonal
 _MAX_TICK_CHANGE = 0.07  # largest relative change of a control tick for a frame rate, as skills count waits in ticks
 
 
@@ -113,16 +115,16 @@ class Start(Config):
 
     on: Name = TABLE
     from_arm: ActingOrder | None = None
-    x: ReachRange
-    y: ReachRange
+    x: WorkspaceRange
+    y: WorkspaceRange
     yaw_deg: HeadingRange = (-180, 180)
     attitudes: Annotated[tuple[StartOrientation, ...], Field(min_length=1)] = ("upright",)
     apart: Distance = 0.02
     open: Mapping[Name, tuple[Share, Share]] = Field(default_factory=dict)
-    crumpled: tuple[_Lift, _Lift] | None = None
+    crumpled: tuple[_ClothDropHeight, _ClothDropHeight] | None = None
 
     @model_validator(mode="after")
-    def _consistent(self) -> Start:
+    def _check_consistency(self) -> Start:
         if self.crumpled is not None and self.crumpled[0] > self.crumpled[1]:
             low, high = self.crumpled
             raise ConflictError(f"a range is [low, high], so {low} must not be above {high}", ("crumpled",))
@@ -163,7 +165,7 @@ class Phrasings(Config):
     held_out: tuple[str, ...] = ()
 
     @model_validator(mode="after")
-    def _disjoint(self) -> Phrasings:
+    def _check_splits_are_disjoint(self) -> Phrasings:
         if shared := sorted(set(self.training) & set(self.held_out)):
             raise ConflictError(f"{shared[0]!r} is also in `training`; remove it from one of the two", ("held_out",))
         return self
@@ -298,7 +300,7 @@ class ProgramTask(Config):
                 where = ("goal", *path, *argument.split("."))
                 if role not in (known := names | {TABLE}):
                     raise ConflictError(f"unknown role {role!r}; {suggest_similar(role, known)}", where)
-                if predicate.OF_CLOTH and not self.may_be_cloth(role):
+                if predicate.JUDGES_CLOTH and not self.may_be_cloth(role):
                     raise ConflictError(f"the {role} is not cloth; give a role of cloth", where)
         return self
 

@@ -15,7 +15,7 @@ from ..files.documents.config_base import (
     Range,
     require_ordered,
 )
-from ..files.documents.units import QuantityBounds, ReachRange
+from ..files.documents.units import QuantityBounds, WorkspaceRange
 from .objects.object_config import ObjectConfig
 
 
@@ -31,14 +31,14 @@ def _require_share(value: tuple[float, float]) -> tuple[float, float]:
     return value
 
 
-Factor = Annotated[Range, AfterValidator(_require_positive)]
-Share = Annotated[Range, AfterValidator(_require_share)]
-_Brightness = Annotated[FiniteFloat, QuantityBounds("of 1", -1, 1)]
-_Noise = Annotated[FiniteFloat, QuantityBounds("of 255", 0, 128)]
-_Lens = Annotated[FiniteFloat, QuantityBounds("degrees", -60, 60)]
-_Delay = Annotated[FiniteFloat, QuantityBounds("ms", 0, 500)]
-_Reading = Annotated[FiniteFloat, QuantityBounds("rad", 0, 0.1)]
-_Gravity = Annotated[FiniteFloat, QuantityBounds("of 1", -1, 1)]
+FactorRange = Annotated[Range, AfterValidator(_require_positive)]
+ShareRange = Annotated[Range, AfterValidator(_require_share)]
+_BrightnessChange = Annotated[FiniteFloat, QuantityBounds("of 1", -1, 1)]
+_PixelNoise = Annotated[FiniteFloat, QuantityBounds("of 255", 0, 128)]
+_FieldOfViewChange = Annotated[FiniteFloat, QuantityBounds("degrees", -60, 60)]
+_DelayMs = Annotated[FiniteFloat, QuantityBounds("ms", 0, 500)]
+_EncoderError = Annotated[FiniteFloat, QuantityBounds("rad", 0, 0.1)]
+_GravityErrorShare = Annotated[FiniteFloat, QuantityBounds("of 1", -1, 1)]
 Texture = Literal["plain", "checker", "gradient", "noise"]
 
 
@@ -51,7 +51,7 @@ class LightRanges(Config):
         tilt_deg: largest rotation of a light's direction, degrees; its position turns with it.
     """
 
-    intensity: Factor
+    intensity: FactorRange
     tint: float = Field(default=0.0, ge=0, le=0.5)
     tilt_deg: float = Field(default=0.0, ge=0, le=45)
 
@@ -59,8 +59,8 @@ class LightRanges(Config):
 class HeadlightRanges(Config):
     """Ranges of the factors on the brightness of the light at the camera, and of the ambient light."""
 
-    diffuse: Factor
-    ambient: Factor
+    diffuse: FactorRange
+    ambient: FactorRange
 
 
 class CameraRanges(Config):
@@ -80,9 +80,9 @@ class SurfaceRanges(Config):
             other patterns do, see docs/recording.md.
     """
 
-    saturation: Share
-    value: Share
-    contrast: Share
+    saturation: ShareRange
+    value: ShareRange
+    contrast: ShareRange
     textures: dict[Texture, Positive] = Field(default={"plain": 1.0}, min_length=1)
 
 
@@ -96,10 +96,10 @@ class LookRanges(Config):
     """
 
     hue_deg: float = Field(ge=0, le=180)
-    saturation: Factor
-    value: Factor
-    specular: Share
-    shininess: Share
+    saturation: FactorRange
+    value: FactorRange
+    specular: ShareRange
+    shininess: ShareRange
 
 
 class Distractors(Config):
@@ -114,8 +114,8 @@ class Distractors(Config):
 
     objects: Annotated[tuple[ObjectConfig, ...], ConfigReference("objects")] = Field(min_length=1, max_length=20)
     count: tuple[Annotated[int, Field(ge=0, le=20)], Annotated[int, Field(ge=0, le=20)]]
-    x: ReachRange
-    y: ReachRange
+    x: WorkspaceRange
+    y: WorkspaceRange
     clearance: Annotated[FiniteFloat, QuantityBounds("m", 1e-4, 1)]
 
     @model_validator(mode="after")
@@ -136,10 +136,10 @@ class PictureRanges(Config):
         salt_pepper: share of pixels that turn white or black; sampled for each attempt.
     """
 
-    brightness: Annotated[tuple[_Brightness, _Brightness], AfterValidator(require_ordered)] = (0.0, 0.0)
-    contrast: Factor = (1.0, 1.0)
-    noise: Annotated[tuple[_Noise, _Noise], AfterValidator(require_ordered)] = (0.0, 0.0)
-    salt_pepper: Share = (0.0, 0.0)
+    brightness: Annotated[tuple[_BrightnessChange, _BrightnessChange], AfterValidator(require_ordered)] = (0.0, 0.0)
+    contrast: FactorRange = (1.0, 1.0)
+    noise: Annotated[tuple[_PixelNoise, _PixelNoise], AfterValidator(require_ordered)] = (0.0, 0.0)
+    salt_pepper: ShareRange = (0.0, 0.0)
 
 
 class ArmRanges(Config):
@@ -153,11 +153,14 @@ class ArmRanges(Config):
         gravity_error: error of the gravity compensation as a factor of a joint's gravity load; sampled for each joint.
     """
 
-    command_delay_ms: Annotated[tuple[_Delay, _Delay], AfterValidator(require_ordered)] = (0.0, 0.0)
-    sensor_delay_ms: Annotated[tuple[_Delay, _Delay], AfterValidator(require_ordered)] = (0.0, 0.0)
-    sensor_noise_rad: Annotated[tuple[_Reading, _Reading], AfterValidator(require_ordered)] = (0.0, 0.0)
-    encoder_step_rad: Annotated[tuple[_Reading, _Reading], AfterValidator(require_ordered)] = (0.0, 0.0)
-    gravity_error: Annotated[tuple[_Gravity, _Gravity], AfterValidator(require_ordered)] = (0.0, 0.0)
+    command_delay_ms: Annotated[tuple[_DelayMs, _DelayMs], AfterValidator(require_ordered)] = (0.0, 0.0)
+    sensor_delay_ms: Annotated[tuple[_DelayMs, _DelayMs], AfterValidator(require_ordered)] = (0.0, 0.0)
+    sensor_noise_rad: Annotated[tuple[_EncoderError, _EncoderError], AfterValidator(require_ordered)] = (0.0, 0.0)
+    encoder_step_rad: Annotated[tuple[_EncoderError, _EncoderError], AfterValidator(require_ordered)] = (0.0, 0.0)
+    gravity_error: Annotated[tuple[_GravityErrorShare, _GravityErrorShare], AfterValidator(require_ordered)] = (
+        0.0,
+        0.0,
+    )
 
 
 class RandomizationConfig(Config):
@@ -176,9 +179,9 @@ class RandomizationConfig(Config):
     name: Name = "none"
     lights: LightRanges | None = None
     headlight: HeadlightRanges | None = None
-    mass: Factor | None = None
-    friction: Factor | None = None
-    lens_deg: Annotated[tuple[_Lens, _Lens], AfterValidator(require_ordered)] | None = None
+    mass: FactorRange | None = None
+    friction: FactorRange | None = None
+    lens_deg: Annotated[tuple[_FieldOfViewChange, _FieldOfViewChange], AfterValidator(require_ordered)] | None = None
     camera: CameraRanges | None = None
     table: SurfaceRanges | None = None
     floor: SurfaceRanges | None = None

@@ -11,7 +11,7 @@ from .rig import RigConfig
 
 GripperUnit = Literal["metres", "share", "closed_share"]
 
-_Side = Annotated[str, Field(pattern="^(left|right|only)$")]
+_ArmSide = Annotated[str, Field(pattern="^(left|right|only)$")]
 _ForeignName = Annotated[str, Field(min_length=1, max_length=200)]
 
 
@@ -54,8 +54,8 @@ class RecordingNames(Config):
     """
 
     name: Name
-    arms: dict[_Side, ArmNames] = Field(default_factory=dict)
-    topics: dict[_Side, ArmTopics] = Field(default_factory=dict)
+    arms: dict[_ArmSide, ArmNames] = Field(default_factory=dict)
+    topics: dict[_ArmSide, ArmTopics] = Field(default_factory=dict)
     field: _ForeignName = "position"
     prompt_topic: _ForeignName | None = None
     prompt_field: _ForeignName = "text"
@@ -63,7 +63,7 @@ class RecordingNames(Config):
     gripper: GripperUnit = "share"
 
     @model_validator(mode="after")
-    def _one_of_two(self) -> RecordingNames:
+    def _require_arms_or_topics(self) -> RecordingNames:
         if bool(self.arms) == bool(self.topics):
             raise ConflictError("give either the columns of arms or their topics", ("arms",), ("topics",))
         return self

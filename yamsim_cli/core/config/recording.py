@@ -8,10 +8,11 @@ from typing import Annotated, Any, Literal, cast
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from ...camera_effects.config import CameraEffects
 from ..files.documents.config_base import Config, ConfigReference, ConflictError, Name
 from ..files.documents.units import is_recorded_config
 from ..robots.joint_limits import describe_limit_violation
-from .mesh_provenance import PATTERN
+from .mesh_provenance import PROVENANCE_PATTERN
 from .objects.object_config import ObjectConfig
 from .program_task import GraspKind as GraspKind
 from .program_task import ProgramTask, Start
@@ -28,6 +29,25 @@ ActionKind = Literal["drives", "joints"]
 Side = Literal["left", "right"]
 
 _RIGS_WITH_PADS = ("single_linear", "yam_station_linear_4310_d405")  # rigs that messages suggest, of one arm and of two
+
+
+class DrawnFrom(Config):
+    """The dataset whose stored states `yamsim draw` rendered again.
+
+    Attributes:
+        config_sha256: SHA-256 of its `config.yaml`.
+        rig: its rig, which determines the physics, if the images show another one.
+    """
+
+    config_sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    rig: Annotated[RigConfig | None, ConfigReference("rigs")] = None
+
+
+class CameraEffectsEntry(Config):
+    """Lens and sensor of one recorded camera, or of all without an own entry if `camera` is left out."""
+
+    camera: Name | None = None
+    effects: Annotated[CameraEffects, ConfigReference("camera_effects")]
 
 
 class RecordConfig(Config):
@@ -49,6 +69,9 @@ class RecordConfig(Config):
         boards: whether to show the base boards and their mounts, as on a real arm.
         randomization: domain randomization of the episodes, in addition to the starts of objects.
         truth: whether to record ground truth for every image, see `core.dataset.ground_truth_files`.
+        camera_effects: lens distortion, noise and other effects of cameras; no physics depends on them.
+        look: number of the random streams of all that `randomization` varies except physics.
+        drawn: set by `yamsim draw`; None in recordings.
         meshes: asset set -> description of the shown meshes, see `core.config.mesh_provenance`. The recorder replaces
             any value in a file; None in datasets without this entry.
     """
@@ -70,7 +93,10 @@ class RecordConfig(Config):
     image: ImageConfig
     render: Annotated[RenderConfig, ConfigReference("quality")]
     randomization: Annotated[RandomizationConfig, ConfigReference("randomization")] = RandomizationConfig()
-    meshes: Mapping[str, Annotated[str, Field(pattern=PATTERN)]] | None = None
+    meshes: Mapping[str, Annotated[str, Field(pattern=PROVENANCE_PATTERN)]] | None = None
+    camera_effects: tuple[CameraEffectsEntry, ...] = ()
+    look: int = Field(default=0, ge=0, le=9999)
+    drawn: DrawnFrom | None = None
 
     @field_validator("grasp", mode="before")
     @classmethod
@@ -110,6 +136,9 @@ class RecordConfig(Config):
                     ("cameras",),
                     ("rig",),
                 )
+        for entry in self.camera_effects:
+            if entry.camera not in (None, *there):
+                raise ConflictError(f"no camera {entry.camera!r}; valid: {', '.join(there)}", ("camera_effects",))
         if self.cameras and len(set(self.cameras)) < len(self.cameras):
             raise ConflictError(f"a camera is listed twice: {', '.join(self.cameras)}", ("cameras",))
         return self
@@ -181,7 +210,7 @@ class RecordConfig(Config):
     @property
     def widened_scene(self) -> SceneConfig:
         """The scene, with the table widened and the scene camera moved back by the distance between the rig's arms."""
-        return self.scene.for_span(self.rig.arm_span)
+        return self.scene.widened_for_arm_distance(self.rig.arm_span)
 
     @property
     def acting_indices(self) -> tuple[int, ...]:
@@ -227,6 +256,11 @@ class RecordConfig(Config):
             return self.rig.camera_names
         acting = (self.rig.arms[k] for k in self.rig.recording_order if k in self.acting_indices)
         return (SCENE_CAMERA, *(arm.wrist_camera_name for arm in acting if self.wrist))
+
+    def effects_of(self, camera: str) -> CameraEffects | None:
+        """Return the effects of a recorded camera; None for an ideal pinhole camera."""
+        found = {entry.camera: entry.effects for entry in self.camera_effects}
+        return found.get(camera, found.get(None))
 
     @property
     def wrist_arms(self) -> tuple[ArmConfig, ...]:

@@ -31,6 +31,8 @@ class RenderConfig(Config):
         shadow_lights: number of the scene's lights that cast shadows. Each needs two more renderings of the scene.
         shadow_reach_m: radius of the region with shadows around the middle between an arm's base and the table. A
             smaller radius gives finer shadows.
+        smooth_shadows: whether edges of shadows are a mean of nine texels, and not steps of one texel. Applies to one
+            light that casts shadows without multisamples, reflections and transparent objects.
         reduced_meshes: whether meshes are shown with fewer faces, see `core.scene.assets.mesh_reduction`.
         reflections: whether surfaces reflect. Reflections need one more rendering of the scene.
         slices: number of faces around round primitives.
@@ -42,6 +44,7 @@ class RenderConfig(Config):
     shadow_map_px: int = Field(ge=0, le=8192)
     shadow_lights: int = Field(ge=0, le=8)
     shadow_reach_m: Annotated[FiniteFloat, QuantityBounds("m", 0.2, 5)] = SHADOW_REACH
+    smooth_shadows: bool = False
     reduced_meshes: bool
     reflections: bool
     slices: int = Field(ge=8, le=128, multiple_of=4)

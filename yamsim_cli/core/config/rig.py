@@ -32,27 +32,31 @@ from ..robots.dynamics import MeasuredArmDynamics
 from ..robots.models import ArmModel, Fovy, Gripper, Modes, WristCamera, fovy_for_size
 from ..robots.robot import Robot, assemble_robot
 
-_OnMount = Annotated[FiniteFloat, QuantityBounds("mm", -2000, 2000)]  # coordinate of a printed mount
-_MIN_MM = 1.0  # mm, least size of a mount and distance of a board from the base; less was probably meant in m
+_MountCoordinate = Annotated[FiniteFloat, QuantityBounds("mm", -2000, 2000)]  # coordinate of a printed mount
+_MIN_EXTENT_MM = 1.0  # mm, least size of a mount and distance of a board from the base; less was probably meant in m
 
 
-def _require_off_base(value: tuple[float, float, float], info: ValidationInfo) -> tuple[float, float, float]:
-    if 0 < math.hypot(*value) < _MIN_MM and not is_recorded_config(info):
+def _require_point_off_base(value: tuple[float, float, float], info: ValidationInfo) -> tuple[float, float, float]:
+    if 0 < math.hypot(*value) < _MIN_EXTENT_MM and not is_recorded_config(info):
         meant = ", ".join(f"{1000 * part:g}" for part in value)
         raise ValueError(f"lies {math.hypot(*value):.2g} mm from the base; is it in m? Then give [{meant}]")
     return value
 
 
-def _require_extended(value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
+def _require_nonzero_extent(value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
     low, high = value
-    if high - low < _MIN_MM and not is_recorded_config(info):
+    if high - low < _MIN_EXTENT_MM and not is_recorded_config(info):
         meant = f"; is it in m? Then give [{1000 * low:g}, {1000 * high:g}]" if high > low else ""
-        raise ValueError(f"a mount must be at least {_MIN_MM:g} mm wide, but this one is {high - low:.3g} mm{meant}")
+        raise ValueError(
+            f"a mount must be at least {_MIN_EXTENT_MM:g} mm wide, but this one is {high - low:.3g} mm{meant}"
+        )
     return value
 
 
-_BoardPoint = Annotated[tuple[_OnMount, _OnMount, _OnMount], AfterValidator(_require_off_base)]
-_Side = Annotated[tuple[_OnMount, _OnMount], AfterValidator(_require_extended)]
+_BoardPosition = Annotated[
+    tuple[_MountCoordinate, _MountCoordinate, _MountCoordinate], AfterValidator(_require_point_off_base)
+]
+_MountExtent = Annotated[tuple[_MountCoordinate, _MountCoordinate], AfterValidator(_require_nonzero_extent)]
 
 
 class BasePose(Config):
@@ -83,7 +87,7 @@ class BoardConfig(Config):
     dictionary: Annotated[str, StringConstraints(pattern=r"^DICT_\w+$")]
     marker_length_mm: Annotated[FiniteFloat, QuantityBounds("mm", 2, 500)]
     gap_mm: Annotated[FiniteFloat, QuantityBounds("mm", 0.1, 500)]
-    position_mm: _BoardPoint
+    position_mm: _BoardPosition
     quat: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
     @property
@@ -117,13 +121,13 @@ class MountConfig(Config):
     name: str
     stl: str | None = None
     mirror_x: bool = False
-    x_mm: _Side
-    y_mm: _Side
-    z_mm: _Side
+    x_mm: _MountExtent
+    y_mm: _MountExtent
+    z_mm: _MountExtent
 
 
 # Robots are dumped as their names.
-_BY_NAME = (
+_CONFIGS_DUMPED_AS_NAMES = (
     PlainSerializer(lambda robot: robot.name, return_type=str, when_used="json"),
     WithJsonSchema({"type": "string"}),
 )
@@ -148,8 +152,8 @@ class ArmConfig(Config):
     name: Name
     side: Literal["left", "right"]
     prefix: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_]*$")] = ""
-    model: Annotated[ArmModel, ConfigReference("robots"), *_BY_NAME]
-    gripper: Annotated[Gripper, ConfigReference("grippers"), *_BY_NAME]
+    model: Annotated[ArmModel, ConfigReference("robots"), *_CONFIGS_DUMPED_AS_NAMES]
+    gripper: Annotated[Gripper, ConfigReference("grippers"), *_CONFIGS_DUMPED_AS_NAMES]
     dynamics: Annotated[MeasuredArmDynamics | None, ConfigReference("revisions")] = None
     base: BasePose = BasePose()
     grasp_offset: Annotated[FiniteFloat, QuantityBounds("m", 0.01, 0.5)] | None = None
@@ -182,7 +186,7 @@ class ArmConfig(Config):
         return data
 
     @model_validator(mode="after")
-    def _parts_fit(self) -> ArmConfig:
+    def _check_arm_and_gripper_fit(self) -> ArmConfig:
         if self.dynamics is not None:
             try:
                 self.dynamics.check(self.model)
@@ -251,7 +255,7 @@ class RigConfig(Config):
 
     @property
     def camera_names(self) -> tuple[str, ...]:
-        """Names of the station's fixed cameras, then of the wrist cameras, that of the left arm first."""
+        """Names of the station's fixed cameras, then of the wrist cameras, first the left arm's."""
         return (
             *(camera.name for camera in self.cameras),
             *(self.arms[k].wrist_camera_name for k in self.recording_order),
@@ -265,7 +269,7 @@ class RigConfig(Config):
 
     @property
     def arm_span(self) -> float:
-        """Distance along world y between the outermost arms' points (see `margin`), m; 0 for one arm."""
+        """Distance along world y between the first and the last arm, m: `margin` for two arms, 0 for one."""
         return (len(self.arms) - 1) * self.margin
 
     @property
@@ -287,7 +291,7 @@ class RigConfig(Config):
         return pose((0.0, self.arm_origin_y(arm), 0.0)) @ self.arms[arm].base.T
 
     @model_validator(mode="after")
-    def _arms_go_together(self) -> RigConfig:
+    def _check_arm_names_and_distance(self) -> RigConfig:
         for one, other in itertools.combinations(self.arms, 2):
             for key in ("name", "prefix", "side"):
                 if getattr(one, key) == getattr(other, key):

@@ -47,7 +47,7 @@ class Light(Config):
     castshadow: bool = False
 
 
-_STEP_BACK = 0.5  # m of backward shift of the scene camera for each m between two arms
+_CAMERA_SHIFT_PER_SPAN = 0.5  # m of backward shift of the scene camera for each m between two arms
 
 
 class FixedCamera(Config):
@@ -101,13 +101,13 @@ class SceneConfig(Config):
             )
         return self
 
-    def for_span(self, span: float) -> SceneConfig:
+    def widened_for_arm_distance(self, span: float) -> SceneConfig:
         """Return the scene for arms `span` metres apart: with a wider table, and a scene camera that sees the table."""
         if not span:
             return self
         return self.model_copy(
             update={
                 "table": self.table and self.table.widen(span),
-                "scene_camera": self.scene_camera and self.scene_camera.move_back(_STEP_BACK * span),
+                "scene_camera": self.scene_camera and self.scene_camera.move_back(_CAMERA_SHIFT_PER_SPAN * span),
             }
         )

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from .program_task import PROGRAM
+from .program_task import PROGRAM_KIND
 
-_ROLES = ("object", "target")
+_FORMER_ROLES = ("object", "target")
 
 _HOLD_S = 0.25  # s, time for which the goal of an upgraded task has to hold
 
@@ -15,10 +15,10 @@ _HOLD_S = 0.25  # s, time for which the goal of an upgraded task has to hold
 _PLACEHOLDERS = {"{preposition}": "{target.preposition}", "{giving}": "{first_arm}", "{taking}": "{second_arm}"}
 
 # Keys without a counterpart, since skills plan heights and the handover.
-_DROPPED = ("heights", "exchange")
+_OBSOLETE_KEYS = ("heights", "exchange")
 
 # Former kind -> (keys and values of all its upgraded tasks, skills between pick and place).
-_KINDS: Mapping[str, tuple[dict[str, Any], list[dict[str, Any]]]] = {
+_FORMER_TASK_KINDS: Mapping[str, tuple[dict[str, Any], list[dict[str, Any]]]] = {
     "pickplace": ({"rig": "single", "arms": "one", "time_limit_s": 20.0}, []),
     "handover": (
         {"rig": "bimanual", "held_at_the_end": True, "time_limit_s": 40.0},
@@ -26,7 +26,7 @@ _KINDS: Mapping[str, tuple[dict[str, Any], list[dict[str, Any]]]] = {
     ),
 }
 
-OLDER_KINDS = tuple(_KINDS)
+OLDER_KINDS = tuple(_FORMER_TASK_KINDS)
 
 
 def upgrade_task(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -40,13 +40,13 @@ def upgrade_task(data: Mapping[str, Any]) -> dict[str, Any]:
         data: content of a task's file, or of a dataset's config, where objects are mappings.
     """
     kind = data.get("kind")
-    if not isinstance(kind, str) or kind not in _KINDS:
+    if not isinstance(kind, str) or kind not in _FORMER_TASK_KINDS:
         return dict(data)
-    common, between = _KINDS[kind]
-    old = {key: value for key, value in data.items() if key not in (*_DROPPED, "kind")}
-    objects = {role: old.pop(role) for role in _ROLES if role in old}
+    common, between = _FORMER_TASK_KINDS[kind]
+    old = {key: value for key, value in data.items() if key not in (*_OBSOLETE_KEYS, "kind")}
+    objects = {role: old.pop(role) for role in _FORMER_ROLES if role in old}
     upgraded = {
-        "kind": PROGRAM,
+        "kind": PROGRAM_KIND,
         **common,
         "grasps": ["weld", "contact"],
         "things": {role: {"of": item, "named": "object"} for role, item in objects.items()},
@@ -76,8 +76,8 @@ def _start_regions(box: Mapping[str, Any], *, second: bool) -> dict[str, Any]:
     if "clearance" in box:
         region["apart"] = box["clearance"]
     arms = {"object": "first", "target": "second" if second else "first"}
-    headings = {role: {"yaw_deg": box[f"{role}_yaw_deg"]} for role in _ROLES if f"{role}_yaw_deg" in box}
-    return {role: {"from_arm": arms[role], **region, **headings.get(role, {})} for role in _ROLES}
+    headings = {role: {"yaw_deg": box[f"{role}_yaw_deg"]} for role in _FORMER_ROLES if f"{role}_yaw_deg" in box}
+    return {role: {"from_arm": arms[role], **region, **headings.get(role, {})} for role in _FORMER_ROLES}
 
 
 def _on_predicate(success: Mapping[str, Any]) -> dict[str, Any]:

@@ -44,6 +44,9 @@ class ArmDynamicsSample:
     gravity: tuple[float, ...]
 
 
+PHYSICS_PARTS = ("mass", "friction", "arm_dynamics")  # parts of a randomization that affect more than images
+
+
 @dataclass(frozen=True)
 class RandomizationSample:
     """The samples of one attempt from the ranges of a randomization; a part that does not vary is empty or None.

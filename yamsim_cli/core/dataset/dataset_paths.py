@@ -3,6 +3,7 @@
 <dataset>/config.yaml            the resolved configuration
 attempts.jsonl         ledger: one line per attempt, successes and failures, in order
 manifest.json          index of the published episodes; can be regenerated from them
+provenance.json        sources of the episodes, in a dataset that `yamsim merge`, `split` or `filter` wrote
 ep_000000/episode.json seed, outcome, versions, sha256 of every file
 rgb/<camera>/000000.jpg
 lowdim/000000.pkl
@@ -20,6 +21,7 @@ from pathlib import Path
 CONFIG_FILE = "config.yaml"
 LEDGER_FILE = "attempts.jsonl"
 MANIFEST_FILE = "manifest.json"
+PROVENANCE_FILE = "provenance.json"
 EPISODE_FILE = "episode.json"
 TRUTH_LABELS_FILE = "truth/labels.json"
 TRUTH_FOLDERS = ("depth/", "segmentation/", "truth/")  # folders of an episode with ground truth

@@ -23,7 +23,7 @@ from .records import Record
 DEPTH_TOLERANCE = 0.002  # m, largest difference between the depth image and the depth of a visible point
 # m. A joint counts as visible if its centre lies at most this far behind the visible surface of its arm. The centre is
 # inside a motor housing, which is 66 mm wide and up to 100 mm long.
-JOINT_COVER = 0.07
+JOINT_COVER_RADIUS = 0.07
 
 BACKGROUND = 0  # segmentation value of pixels that show no labelled body
 
@@ -67,7 +67,7 @@ class TruthLabels(Record):
         links, objects: names of those with poses.
         keypoints: in array order.
         cloths: cloth -> number of points along its x axis and its y axis.
-        depth_tolerance_m, joint_cover_m: `DEPTH_TOLERANCE` and `JOINT_COVER` at recording time, m.
+        depth_tolerance_m, joint_cover_m: `DEPTH_TOLERANCE` and `JOINT_COVER_RADIUS` at recording time, m.
     """
 
     labels: list[LabelRecord]
@@ -78,12 +78,12 @@ class TruthLabels(Record):
     # Omitted if empty: `verify` compares the bytes of this file.
     cloths: dict[str, tuple[int, int]] = Field(default_factory=dict, exclude_if=lambda cloths: not cloths)
     depth_tolerance_m: float = DEPTH_TOLERANCE
-    joint_cover_m: float = JOINT_COVER
+    joint_cover_m: float = JOINT_COVER_RADIUS
 
 
 # Array key -> dtype and shape. "frames" in a shape is the number of frames. Any other name is the length of the list
 # with that name in `TruthLabels`.
-_ARRAYS: Mapping[str, tuple[type[np.generic], tuple[int | str, ...]]] = {
+_ARRAY_TYPES_AND_SHAPES: Mapping[str, tuple[type[np.generic], tuple[int | str, ...]]] = {
     "intrinsics": (np.float64, (3, 3)),
     "T_cam_in_base": (np.float32, ("frames", 4, 4)),
     "T_link_in_cam": (np.float32, ("frames", "links", 4, 4)),
@@ -110,7 +110,7 @@ def array_specs(labels: TruthLabels, frames: int) -> dict[str, tuple[np.dtype[An
     lengths = {"frames": frames} | {name: len(getattr(labels, name)) for name in lists}
     forms = {
         key: (np.dtype(dtype), tuple(lengths[part] if isinstance(part, str) else part for part in shape))
-        for key, (dtype, shape) in _ARRAYS.items()
+        for key, (dtype, shape) in _ARRAY_TYPES_AND_SHAPES.items()
     }
     return forms | {
         visible_points_key(cloth): (np.dtype(np.bool_), (frames, columns * rows))

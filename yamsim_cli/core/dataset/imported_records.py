@@ -19,7 +19,7 @@ from .upgrade import upgrade_config, upgrade_episode
 
 C = TypeVar("C", bound=Config)
 
-REAL = "real"  # value of `source` in the config and records of imported recordings
+REAL_SOURCE = "real"  # value of `source` in the config and records of imported recordings
 
 
 class ImportedFrom(Record):
@@ -63,7 +63,7 @@ def is_imported_dataset(dataset: Path) -> bool:
         data = parse_yaml((dataset / CONFIG_FILE).read_text(encoding="utf-8"), str(dataset / CONFIG_FILE)).data
     except (OSError, UnicodeDecodeError, ConfigError):
         return False
-    return data.get("source") == REAL
+    return data.get("source") == REAL_SOURCE
 
 
 def is_yamsim_data(path: Path) -> bool:

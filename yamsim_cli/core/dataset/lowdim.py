@@ -25,7 +25,7 @@ GRASP, CLOTH_GRASP = "grasp", "cloth_constraint"  # frame key and its value; onl
 
 # Key -> dtype and number of dimensions of the data that replays a frame in physics. A frame has all of these keys or
 # none. `sim_magnet` has one entry for each control tick; each entry has the shape of `magnet`.
-SIMULATION: Mapping[str, tuple[type[np.generic], int]] = {
+SIMULATION_KEYS: Mapping[str, tuple[type[np.generic], int]] = {
     "sim_qpos": (np.float64, 1),
     "sim_ctrl": (np.float64, 2),
     "sim_magnet": (np.bool_, 1),
@@ -213,18 +213,18 @@ def flatten_frame(frame: Mapping[str, Any]) -> dict[str, Any]:
     return entries
 
 
-def has_simulation(frame: Mapping[str, Any]) -> bool:
-    """Return whether a frame has all `SIMULATION` keys, so that physics can replay the frame."""
-    return all(key in frame for key in SIMULATION)
+def has_simulation_keys(frame: Mapping[str, Any]) -> bool:
+    """Return whether a frame has all `SIMULATION_KEYS` keys, so that physics can replay the frame."""
+    return all(key in frame for key in SIMULATION_KEYS)
 
 
 def simulation_faults(frame: Mapping[str, Any]) -> list[str]:
-    """Return the faults of a frame's `SIMULATION` keys; empty if the frame has none of these keys."""
+    """Return the faults of a frame's `SIMULATION_KEYS` keys; empty if the frame has none of these keys."""
     faults: list[str] = []
-    if not any(key in frame for key in SIMULATION):
+    if not any(key in frame for key in SIMULATION_KEYS):
         return faults
     of_arms = getattr(frame.get("magnet"), "shape", ())
-    for key, (dtype, each) in SIMULATION.items():
+    for key, (dtype, each) in SIMULATION_KEYS.items():
         value = frame.get(key)
         dimensions = each + (len(of_arms) if key == "sim_magnet" else 0)
         if value is None:
@@ -255,7 +255,7 @@ def recorded_actions(frames: Sequence[Mapping[str, Any]], nq: int, nu: int) -> t
     Raises:
         DatasetError: the episode was recorded in another scene.
     """
-    if not frames or not all(map(has_simulation, frames)):
+    if not frames or not all(map(has_simulation_keys, frames)):
         return None
     for k, frame in enumerate(frames):
         found = len(frame["sim_qpos"]), frame["sim_ctrl"].shape[1]

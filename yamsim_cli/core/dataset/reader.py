@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, SupportsIndex, overload
+from typing import Any, Self, SupportsIndex, overload
 
 import numpy as np
 
@@ -29,10 +29,19 @@ _EPISODE_RANGE = re.compile(r"^(?:ep_)?(\d+)(?:-(?:ep_)?(\d+))?$")
 
 @dataclass(frozen=True)
 class RecordedEpisode:
-    """A simulated or real episode on disk: its directory and the content of its `episode.json`."""
+    """A simulated or real episode on disk: its directory and the content of its `episode.json`.
+
+    `first_frame` is the recorded frame that `frames` and `image` count as frame 0; above 0 only after `trimmed`.
+    """
 
     directory: Path
     record: EpisodeRecord | RealEpisodeRecord
+    first_frame: int = field(default=0, kw_only=True)
+
+    def trimmed(self, first: int, last: int) -> Self:
+        """Return the episode with only its recorded frames `first` to `last`. Their timestamps do not change."""
+        record = self.record.model_copy(update={"frames": last - first + 1})
+        return replace(self, record=record, first_frame=first)
 
     @property
     def dataset_directory(self) -> Path:
@@ -69,11 +78,12 @@ class RecordedEpisode:
 
     def frames(self) -> list[dict[str, Any]]:
         """Read the low-dimensional data of all frames. Raise DatasetError if a file is missing, damaged or altered."""
-        return [self.frame(k, self.read_verified(lowdim_path(k))) for k in range(self.record.frames)]
+        first = self.first_frame
+        return [self.frame(k, self.read_verified(lowdim_path(k))) for k in range(first, first + self.record.frames)]
 
     def image(self, camera: str, number: int) -> bytes:
         """Return the JPEG bytes of a frame. Raise DatasetError if the file is missing or altered."""
-        return self.read_verified(image_path(camera, number))
+        return self.read_verified(image_path(camera, self.first_frame + number))
 
 
 @dataclass(frozen=True)
@@ -125,9 +135,13 @@ def open_all_episodes(dataset: Path) -> list[RecordedEpisode]:
 class StoredEpisodes(Sequence[StoredEpisode]):
     """Sequence of a dataset's episodes. Each access reads the episode from disk. `path` is the dataset directory."""
 
-    def __init__(self, path: Path, directories: Sequence[Path]) -> None:
+    def __init__(
+        self, path: Path, directories: Sequence[Path], opener: Callable[[Path], StoredEpisode] | None = None
+    ) -> None:
+        """`opener` opens the episode in a directory; by default `open_episode`."""
         self.path = path
         self._directories = tuple(directories)
+        self._open = opener or open_episode
 
     def __len__(self) -> int:
         return len(self._directories)
@@ -139,14 +153,14 @@ class StoredEpisodes(Sequence[StoredEpisode]):
     def __getitem__(self, key: slice) -> StoredEpisodes: ...
 
     def __getitem__(self, key: SupportsIndex | slice) -> StoredEpisode | StoredEpisodes:
-        """Raise IndexError, or DatasetError for a missing or damaged episode record."""
+        """Return an episode or a slice. Raises IndexError, or DatasetError if a record is missing or damaged."""
         if isinstance(key, slice):
-            return StoredEpisodes(self.path, self._directories[key])
+            return StoredEpisodes(self.path, self._directories[key], self._open)
         try:
             directory = self._directories[key]
         except IndexError:
             raise IndexError(f"{self.path} has {count_noun(len(self), 'episode')}, but none at index {key}") from None
-        return open_episode(directory)
+        return self._open(directory)
 
     def __repr__(self) -> str:
         return f"<{count_noun(len(self), 'episode')} of {self.path}>"
@@ -206,12 +220,15 @@ def read_recorded_rig(dataset: Path, locations: Locations) -> RigConfig:
     )
 
 
-def select_episodes(dataset: Path, episodes: str | None, sample: int | None) -> list[tuple[int, Path]]:
+def select_episode_directories(
+    dataset: Path, episodes: str | None, sample: int | None, among: Collection[int] | None = None
+) -> list[tuple[int, Path]]:
     """Return the number and directory of the selected episodes, in order.
 
     Args:
         episodes: numbers and ranges, such as `0,3,5-9`; None for all.
         sample: number of episodes to select, evenly spread; None for all. Ignored if `episodes` is given.
+        among: numbers of the episodes that may be selected; None for all.
 
     Raises:
         DatasetError: `dataset` is not a directory with episodes.
@@ -225,7 +242,9 @@ def select_episodes(dataset: Path, episodes: str | None, sample: int | None) -> 
     numbers = sorted(there)
     if episodes is not None:
         numbers = _parse_selection(episodes, dataset, numbers)
-    elif sample is not None and sample < len(numbers):
+    if among is not None:
+        numbers = [number for number in numbers if number in among]
+    if episodes is None and sample is not None and sample < len(numbers):
         step = (len(numbers) - 1) / max(1, sample - 1)
         numbers = [numbers[round(k * step)] for k in range(sample)]
     return [(number, there[number]) for number in numbers]

@@ -87,18 +87,18 @@ class _ArrayDescription:
     @property
     def nbytes(self) -> int:
         raw, kind, *_ = self._description
-        return sum(map(len, self._texts())) if kind.dtype.hasobject else len(raw)
+        return sum(map(len, self._decode_texts())) if kind.dtype.hasobject else len(raw)
 
-    def _texts(self) -> list[str]:
+    def _decode_texts(self) -> list[str]:
         raw = self._description[0]
         if not isinstance(raw, list) or not all(isinstance(text, str) for text in raw):
             raise ForbiddenPickleError("the pickle has an array of objects; only numbers and text are read")
         return raw
 
-    def make(self) -> Any:
+    def make_array(self) -> Any:
         raw, kind, shape, order = self._description
         if kind.dtype.hasobject:
-            texts = self._texts()
+            texts = self._decode_texts()
             if math.prod(shape) != len(texts):
                 raise ValueError(f"an array of shape {_describe_value(shape)} and {len(texts)} texts")
             return np.array(texts, dtype=np.str_).reshape(shape)
@@ -219,7 +219,7 @@ def read_pickle(data: bytes) -> Any:
     if len(data) > MAX_BYTES:
         raise ForbiddenPickleError(f"the pickle has {len(data)} bytes; at most {MAX_BYTES} are read")
     try:
-        return _BudgetedCopy().copy_value(_Unpickler(io.BytesIO(data)).load(), 0)
+        return _SizeLimitedCopy().copy_value(_Unpickler(io.BytesIO(data)).load(), 0)
     except DatasetError:
         raise
     # The unpickler can raise almost any exception on a broken pickle.
@@ -227,7 +227,7 @@ def read_pickle(data: bytes) -> Any:
         raise DatasetError(f"not a valid pickle: {type(error).__name__}: {_describe_value(str(error))}") from error
 
 
-class _BudgetedCopy:
+class _SizeLimitedCopy:
     """Copies the content of a pickle up to a size limit, and replaces array descriptions by arrays."""
 
     def __init__(self) -> None:
@@ -244,7 +244,7 @@ class _BudgetedCopy:
             return type(item)([self.copy_value(inner, depth + 1) for inner in item])
         if isinstance(item, _ArrayDescription):
             self._spend_bytes(item.nbytes)
-            return item.make()
+            return item.make_array()
         if isinstance(item, str | bytes | bytearray):
             self._spend_bytes(len(item))
         elif isinstance(item, int) and item.bit_length() > _MAX_INT_BITS:

@@ -10,13 +10,13 @@ from collections.abc import Mapping
 from typing import Any
 
 # Absent if nothing varies.
-_RANDOMIZED: Mapping[str, Any] = {
+_RANDOMIZATION_DEFAULTS: Mapping[str, Any] = {
     **dict.fromkeys(("headlight", "lens_deg", "camera", "table", "floor", "noise", "salt_pepper")),
     **{key: {} for key in ("mass", "friction", "looks", "distractors")},
     **{key: [] for key in ("lights", "arm_dynamics")},
 }
-_OUTCOME: Mapping[str, Any] = {"margins": None, "measures": [], "recoveries": []}
-_EPISODE: Mapping[str, Any] = {
+_OUTCOME_DEFAULTS: Mapping[str, Any] = {"margins": None, "measures": [], "recoveries": []}
+_EPISODE_DEFAULTS: Mapping[str, Any] = {
     "truth": False,
     "arms": 1,
     "drives": 7,
@@ -26,12 +26,12 @@ _EPISODE: Mapping[str, Any] = {
     "meshes": None,
 }
 # The revisions before `versions` stated them, see `core.episode.attempt_payload`.
-_VERSIONS: Mapping[str, Any] = {"looks": "1", "engine": "1"}
+_VERSION_DEFAULTS: Mapping[str, Any] = {"looks": "1", "engine": "1"}
 # Keys that identify a part of a config -> values that older configs left out there. A part that is absent, null or
 # empty means the same, so only other values are listed.
-_CONFIG: tuple[tuple[frozenset[str], Mapping[str, Any]], ...] = (
-    (frozenset({"rig", "task", "seed"}), {"arm": "right", "action": "drives"}),
-    (frozenset({"multisamples", "shadow_map_px"}), {"shadow_reach_m": 0.8}),
+_CONFIG_DEFAULTS: tuple[tuple[frozenset[str], Mapping[str, Any]], ...] = (
+    (frozenset({"rig", "task", "seed"}), {"arm": "right", "action": "drives", "look": 0}),
+    (frozenset({"multisamples", "shadow_map_px"}), {"shadow_reach_m": 0.8, "smooth_shadows": False}),
     (
         frozenset({"things", "starts", "expert"}),
         {"arms": "all", "grasps": ["contact"], "held_at_the_end": False, "language_task": ""},
@@ -47,8 +47,8 @@ _CONFIG: tuple[tuple[frozenset[str], Mapping[str, Any]], ...] = (
 def upgrade_attempt(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return a line of `attempts.jsonl` with all keys, and with full poses."""
     cast, layout = data.get("cast"), data.get("layout")
-    upgraded = {"phrasing": "", **data, **_filled(data, "outcome", _OUTCOME)}
-    upgraded |= _filled({"randomized": {}, **data}, "randomized", _RANDOMIZED)
+    upgraded = {"phrasing": "", **data, **_with_defaults(data, "outcome", _OUTCOME_DEFAULTS)}
+    upgraded |= _with_defaults({"randomized": {}, **data}, "randomized", _RANDOMIZATION_DEFAULTS)
     upgraded["cast"] = {"sizes": {}, **cast} if isinstance(cast, Mapping) else cast
     if isinstance(layout, Mapping):
         upgraded["layout"] = {name: _full_pose(place) for name, place in layout.items()}
@@ -59,7 +59,7 @@ def upgrade_episode(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return the content of an `episode.json` with all keys, and with full poses."""
     if data.get("source") == "real":
         return {"prompt": "", "problems": [], **data}
-    return {**_EPISODE, **upgrade_attempt(data), **_filled(data, "versions", _VERSIONS)}
+    return {**_EPISODE_DEFAULTS, **upgrade_attempt(data), **_with_defaults(data, "versions", _VERSION_DEFAULTS)}
 
 
 def upgrade_config(data: Any) -> Any:
@@ -68,12 +68,12 @@ def upgrade_config(data: Any) -> Any:
         return [upgrade_config(item) for item in data]
     if not isinstance(data, Mapping):
         return data
-    omitted = [values for keys, values in _CONFIG if keys <= data.keys()]
+    omitted = [values for keys, values in _CONFIG_DEFAULTS if keys <= data.keys()]
     upgraded = {name: upgrade_config(value) for name, value in data.items()}
     return {name: value for values in omitted for name, value in values.items()} | upgraded
 
 
-def _filled(data: Mapping[str, Any], key: str, defaults: Mapping[str, Any]) -> dict[str, Any]:
+def _with_defaults(data: Mapping[str, Any], key: str, defaults: Mapping[str, Any]) -> dict[str, Any]:
     value = data.get(key)
     if not isinstance(value, Mapping):
         return {}

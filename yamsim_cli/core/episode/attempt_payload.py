@@ -41,7 +41,7 @@ APPEARANCE_REVISION = "2"
 # Version of the engine, raised when the same config and seed give other actions. 2: all tasks are programs of skills,
 # with analytic inverse kinematics. 3: waypoints may tilt, containers take objects beside each other, and starts with
 # moving objects are sampled again.
-ENGINE = "3"
+SIMULATION_REVISION = "3"
 
 
 def library_versions() -> dict[str, str]:
@@ -51,7 +51,7 @@ def library_versions() -> dict[str, str]:
         "yamsim": __version__,
         "python": platform.python_version(),
         "looks": APPEARANCE_REVISION,
-        "engine": ENGINE,
+        "engine": SIMULATION_REVISION,
     } | {key: version(name) for key, name in packages.items()}
 
 
@@ -99,8 +99,7 @@ def _frame_record(simulator: Simulator, attempt: Attempt, state: StepState, tick
     return make_frame(
         joints=encoder_readings(scene, joints, attempt.job, tick),
         timestamp=state.time,
-        intrinsics={name: replica.intrinsics(name, config.image.size_px).K for name in scene.cameras},
-        extrinsics={name: replica.T_cam_in_base(name) for name in scene.cameras},
+        **camera_entries(simulator),
         object_poses={item.name: replica.T_object_in_base(item.name) for item in task.objects},
         object_joints=_object_joints(simulator),
         cloth_points=replica.cloth_points(),
@@ -115,6 +114,15 @@ def _frame_record(simulator: Simulator, attempt: Attempt, state: StepState, tick
         full_openings=max_finger_openings(config) if config.action == "joints" else None,
         simulation=SimulationData(state.qpos, acting.ctrl, acting.magnet),
     )
+
+
+def camera_entries(simulator: Simulator) -> dict[str, dict[str, Array]]:
+    """Return `intrinsics` and `extrinsics` of the recorded cameras in the state of the simulator's replay."""
+    cameras = simulator.scene.cameras
+    return {
+        "intrinsics": {name: simulator.intrinsics(name).K for name in cameras},
+        "extrinsics": {name: simulator.state_replay.T_cam_in_base(name) for name in cameras},
+    }
 
 
 def max_finger_openings(config: RecordConfig) -> list[float]:
@@ -133,16 +141,27 @@ def render_cameras(simulator: Simulator, attempt: Attempt, qpos: Array, cameras:
 def render_recorded_images(
     simulator: Simulator, attempt: Attempt, positions: Iterable[Array]
 ) -> Iterator[tuple[int, str, Image]]:
-    """Yield frame, camera and RGB image (height, width, 3); each image reuses the memory of the last."""
+    """Yield frame, camera and RGB image (height, width, 3); each image reuses the memory of the last.
+
+    Until the next image, the simulator's replay has the state that the image shows.
+    """
     width, height = simulator.config.image.size_px
     image = np.empty((height, width, 3), np.uint8)
-    renderer = _prepare_renderer(simulator, attempt)
-    for k, qpos in enumerate(positions):
-        simulator.state_replay.set_state(qpos)
+    renderer, replica, job = _prepare_renderer(simulator, attempt), simulator.state_replay, attempt.job
+    effects, states = simulator.effects_cameras, list(positions)
+    for k, qpos in enumerate(states):
+        replica.set_state(qpos)
         for number, camera in enumerate(simulator.scene.cameras):
-            renderer.render(simulator.state_replay.data, camera, image)
+            if camera in effects:
+                effects[camera].take(renderer, replica, states, k, image)
+            else:
+                renderer.render(replica.data, camera, image)
             simulator.randomized_scene.augment_image(attempt, image, k, number)
+            if camera in effects:
+                effects[camera].expose(image, job.for_look(simulator.config.look), k)
             yield k, camera, image
+            if camera in effects:
+                replica.set_state(qpos)
 
 
 def encode_images(simulator: Simulator, attempt: Attempt, positions: Iterable[Array]) -> dict[str, bytes]:
@@ -166,7 +185,9 @@ def render_depth(simulator: Simulator, attempt: Attempt, qpos: Array, camera: st
     # Pixels without a label, such as the sky, get no depth, as in recorded ground truth.
     labels = simulator.labels
     return depth_in_mm(
-        renderer.render_labels_and_depth(simulator.state_replay.data, camera, labels.of_geom, labels.of_flex)[1]
+        renderer.render_labels_and_depth(
+            simulator.state_replay.data, camera, labels.label_of_geom, labels.label_of_flex
+        )[1]
     )
 
 

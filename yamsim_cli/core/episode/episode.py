@@ -20,7 +20,7 @@ from .held_objects import HeldObjectSlipMonitor
 from .monitor import StepMonitor, describe_exceeded_limits
 
 # Is called with MuJoCo's state at the start and after every physics step, and must not change it.
-OnStep = Callable[[mujoco.MjData], None]
+PhysicsStepCallback = Callable[[mujoco.MjData], None]
 
 
 class Timing(Protocol):
@@ -105,7 +105,7 @@ class Episode:
         rules: EpisodeRules | None = None,
         *,
         world: Callable[[mujoco.MjData], SimWorld] | None = None,
-        on_step: OnStep | None = None,
+        on_step: PhysicsStepCallback | None = None,
     ) -> None:
         self.scene, self._timing, self._goal = scene, timing, goal
         self._rules, self._on_step = rules or EpisodeRules(), on_step
@@ -187,9 +187,24 @@ class Episode:
             magnet: whether each arm's weld is commanded on (arms,).
             joints: recorded references (arms, drives); the commands by default.
         """
-        command = np.empty(self.scene.model.nu)
-        command[self.scene.recorded_drive_ctrl] = ctrl
-        self._execute_tick(command, magnet, joints)
+        self._execute_tick(self._commands(ctrl), magnet, joints)
+
+    def begin_tick(self, ctrl: Array, magnet: Sequence[bool]) -> None:
+        """Begin a control tick as `step` does, and write its commands and constraints into `data`.
+
+        The caller then steps the tick's physics, such as with other episodes on several threads, sets `data` to the
+        result, and calls `end_tick`. Motion margins and collisions are not observed, so the rules must not be strict.
+        """
+        self._begin_tick(self._commands(ctrl), magnet, None)
+
+    def end_tick(self) -> None:
+        """Judge the state after a control tick."""
+        self._update_kinematics_and_contacts()
+        self._monitor.check_tick(self.data)
+        self.ticks += 1
+        self._held_monitor.measure_tick(self.world.update_handovers())
+        self._evaluate_goal()
+        self._check_end()
 
     def run_commands(self, actions: ActionSequence, *, until_success: bool = False) -> None:
         """Execute actions until the episode ends, or if `until_success`, until the goal has held for its time."""
@@ -229,6 +244,21 @@ class Episode:
     def _execute_tick(self, ctrl: Array, magnet: Sequence[bool] | WeldStates, joints: Array | None) -> None:
         if self.end is not None:
             return
+        self._begin_tick(ctrl, magnet, joints)
+        for _ in range(self._timing.physics_steps_per_tick):
+            self.scene.step(self.data)
+            self._monitor.check_step(self.data)
+            if self._on_step:
+                self._on_step(self.data)
+        self.end_tick()
+
+    def _commands(self, ctrl: Array) -> Array:
+        """Return the commands (nu,) of all drives, given those of the recorded drives (arms, drives)."""
+        command = np.empty(self.scene.model.nu)
+        command[self.scene.recorded_drive_ctrl] = ctrl
+        return command
+
+    def _begin_tick(self, ctrl: Array, magnet: Sequence[bool] | WeldStates, joints: Array | None) -> None:
         scene, data, timing = self.scene, self.data, self._timing
         ctrl = np.clip(ctrl, self._low, self._high)
         if self.ticks % timing.ticks_per_frame == 0:
@@ -237,17 +267,6 @@ class Episode:
         self._ctrl.append(ctrl)
         self._joints.append(ctrl[scene.recorded_drive_ctrl] if joints is None else joints)
         data.ctrl[:] = ctrl
-        for _ in range(timing.physics_steps_per_tick):
-            scene.step(data)
-            self._monitor.check_step(data)
-            if self._on_step:
-                self._on_step(data)
-        self._update_kinematics_and_contacts()
-        self._monitor.check_tick(data)
-        self.ticks += 1
-        self._held_monitor.measure_tick(self.world.update_handovers())
-        self._evaluate_goal()
-        self._check_end()
 
     def _update_kinematics_and_contacts(self) -> None:
         """`mj_step` leaves poses and contacts from before the step: compute the present ones."""

@@ -5,7 +5,7 @@ from enum import StrEnum
 
 from ..attempt_data import FailureCause
 
-WELD_REACH = 0.06  # m, from a hand's pinch point to an object's surface: farther objects are not welded
+MAX_WELD_DISTANCE = 0.06  # m, from a hand's pinch point to an object's surface: farther objects are not welded
 
 
 class EndRule(StrEnum):
@@ -43,7 +43,7 @@ class EpisodeRules:
     end: EndRule = EndRule.ACTOR
     strict: bool = False
     max_ticks: int | None = None
-    weld_reach: float | None = WELD_REACH
+    weld_reach: float | None = MAX_WELD_DISTANCE
 
 
 # Demonstrations and their replays.

@@ -14,7 +14,7 @@ from ..expert.skills.program import RecoveryLog, build_program, run_program
 from ..scene.compiled import CompiledScene
 from ..scene.random_streams import Stream, random_generator
 from .commands import path_actions
-from .episode import Episode, EpisodeResult, OnStep
+from .episode import Episode, EpisodeResult, PhysicsStepCallback
 from .episode_rules import EXPERT_RULES, EndReason, EpisodeRules
 from .sampling import describe_missing_start
 from .simulator import Simulator, open_episode
@@ -45,11 +45,11 @@ def simulate_expert(simulator: Simulator, attempt: Attempt, *, grips: bool = Tru
         )
     task = simulator.config.task
     episode = open_episode(simulator, attempt, EXPERT_RULES)
-    rng = random_generator(attempt.job, Stream.SEARCH)
+    rng = random_generator(attempt.job, Stream.PLANNING)
     context = simulator.expert_planner.planning_context(episode.world, list(start_postures(simulator.config)), rng)
     log, recoveries = RecoveryLog(), list[Recovery]()
 
-    def note_recoveries() -> None:
+    def append_recoveries() -> None:
         new = log.recoveries[len(recoveries) :]
         recoveries.extend(Recovery(entry.step, entry.skill, entry.detail, episode.frame_count) for entry in new)
 
@@ -58,7 +58,7 @@ def simulate_expert(simulator: Simulator, attempt: Attempt, *, grips: bool = Tru
     max_ticks = task.max_ticks - task.timing.settle_ticks - task.hold_ticks
     try:
         for segment in _expert_motions(simulator, episode, context, log):
-            note_recoveries()
+            append_recoveries()
             if episode.ticks + segment.tick_count > max_ticks:
                 failure = FailureCause.TIME, f"the program was not done after {episode.simulated_seconds:.0f} s"
                 break
@@ -67,7 +67,7 @@ def simulate_expert(simulator: Simulator, attempt: Attempt, *, grips: bool = Tru
                 break
     except SkillFailedError as error:
         failure = error.cause, str(error)
-    note_recoveries()
+    append_recoveries()
     last = path_actions(episode.scene, context.wait_segment(max(1, task.timing.settle_ticks + task.hold_ticks)).paths)
     episode.run_commands(_with_open_grippers(episode.scene, last, grips), until_success=True)
     context.clear_cache()
@@ -92,7 +92,11 @@ def _expert_motions(
 
 
 def simulate_actions(
-    simulator: Simulator, attempt: Attempt, actions: ActionSequence, rules: EpisodeRules, on_step: OnStep | None = None
+    simulator: Simulator,
+    attempt: Attempt,
+    actions: ActionSequence,
+    rules: EpisodeRules,
+    on_step: PhysicsStepCallback | None = None,
 ) -> SimulatedAttempt:
     """Simulate an attempt with given actions. The rules of their recording give the same verdict."""
     episode = open_episode(simulator, attempt, rules, on_step)
@@ -111,7 +115,7 @@ def build_outcome(
         cause, detail = failure
     elif end.cause is FailureCause.GOAL and _is_off_target(simulator, result):
         cause = FailureCause.OFF_TARGET
-    dxy, dz, speed = _final_distances(simulator, result)
+    dxy, dz, speed = _final_distances_and_speed(simulator, result)
     measures = result.verdict.measures if result.verdict else ()
     return Outcome(cause is None, cause, detail, dxy, dz, speed, margins=result.margins, measures=measures)
 
@@ -141,7 +145,9 @@ def _is_off_target(simulator: Simulator, result: EpisodeResult) -> bool:
     return worst.unit == "m" and worst.what == f"on({roles.object_of(target.thing)}, {roles.object_of(target.surface)})"
 
 
-def _final_distances(simulator: Simulator, result: EpisodeResult) -> tuple[float | None, float | None, float | None]:
+def _final_distances_and_speed(
+    simulator: Simulator, result: EpisodeResult
+) -> tuple[float | None, float | None, float | None]:
     """Return an object's horizontal and vertical distance from its target, m, and its speed, m/s."""
     task, roles = simulator.config.task, simulator.roles
     target = task.target_predicate

@@ -13,7 +13,7 @@ from ..expert.planning.ik import Tolerance
 from ..expert.skills.hand import Hand
 from ..expert.skills.planning_context import PlanningContext
 from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
-from ..scene.compiled import CompiledScene, GeomOwner
+from ..scene.compiled import CompiledScene, GeomOwnerKind
 from ..sim.sim_world import SimWorld
 
 TILT_ANGLES = tuple(math.radians(angle) for angle in (0, 30, 60))  # rad, of the hand from straight down
@@ -29,7 +29,7 @@ class ExpertPlanner:
 
     def __init__(self, config: RecordConfig, scene: CompiledScene, tools: tuple[ArmIkAndDynamics, ...]) -> None:
         self._config, self._scene, self._tools = config, scene, tools
-        fingers = (GeomOwner.LEFT_FINGER, GeomOwner.RIGHT_FINGER)
+        fingers = (GeomOwnerKind.LEFT_FINGER, GeomOwnerKind.RIGHT_FINGER)
         geoms = [
             np.flatnonzero((scene.geom_arm == k) & np.isin(scene.geom_kind, fingers)) for k in range(len(scene.arms))
         ]

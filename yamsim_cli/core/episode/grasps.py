@@ -52,9 +52,9 @@ class WeldGraspSimulator:
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
         """See `GraspSimulator.update`."""
-        return [self._switch_weld(data, arm, bool(on)) for arm, on in zip(self._scene.arms, magnet, strict=True)]
+        return [self._set_weld_active(data, arm, bool(on)) for arm, on in zip(self._scene.arms, magnet, strict=True)]
 
-    def _switch_weld(self, data: mujoco.MjData, arm: ArmAddresses, on: bool) -> bool:
+    def _set_weld_active(self, data: mujoco.MjData, arm: ArmAddresses, on: bool) -> bool:
         if arm.weld is None:
             return False
         if on and not is_weld_active(data, arm):

@@ -49,7 +49,17 @@ class StepMonitor:
             self._check_contacts(data)
 
     def check_tick(self, data: mujoco.MjData) -> None:
-        """Evaluate the control tick after its last physics step."""
+        """Evaluate the control tick after its last physics step. Without `check_step`, only breakdowns are noticed."""
+        if self._step:
+            self._update_margins()
+        else:
+            self._steps += len(self._positions)
+        if self.breakdown is None and (text := physics_failure(data)):
+            # MuJoCo has reset its own clock, so the time is counted in steps.
+            seconds = self._steps * float(self._model.opt.timestep)
+            self.breakdown = f"physics broke down within {seconds:.3f} s: {text}"
+
+    def _update_margins(self) -> None:
         steps, low, high = self._step, self._range[:, 0], self._range[:, 1]
         velocities = np.abs(self._velocities[:steps, self._dof]) / self._motor_speed
         forces = np.abs(self._forces[:steps, self._ctrl]) / self._max_torque
@@ -58,10 +68,6 @@ class StepMonitor:
         self._torque = max(self._torque, float(forces.max()))
         self._joint_margin = min(self._joint_margin, float(np.minimum(positions - low, high - positions).min()))
         self._step = 0
-        if self.breakdown is None and (text := physics_failure(data)):
-            # MuJoCo has reset its own clock, so the time is counted in steps.
-            seconds = self._steps * float(self._model.opt.timestep)
-            self.breakdown = f"physics broke down within {seconds:.3f} s: {text}"
 
     def motion_margins(self, slip: float | None = None, tilt: float | None = None) -> MotionMargins:
         """Return the margins so far, with a held object's `slip` (m) and `tilt` (rad)."""

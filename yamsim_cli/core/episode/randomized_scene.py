@@ -50,5 +50,6 @@ class RandomizedScene:
             return
         if self._augmenter is None or self._augmenter[0] is not attempt:
             size = self._config.image.size_px
-            self._augmenter = attempt, ImageAugmenter(ranges, attempt.variation, attempt.job, size)
+            job = attempt.job.for_look(self._config.look)
+            self._augmenter = attempt, ImageAugmenter(ranges, attempt.variation, job, size)
         self._augmenter[1].apply(image, frame, camera)

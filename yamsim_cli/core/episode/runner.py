@@ -14,16 +14,16 @@ from .sampling import sample_attempt
 from .simulator import SimulatorCache
 
 # Places of the expected and of the found meshes, in an error message.
-_PLACE_NAMES = ("for the recorder", "there")
+_MESH_SIDE_LABELS = ("for the recorder", "there")
 
 
 class AttemptRunner(Closable):
-    """Runs attempts from their seed and number, and with `render` renders successes. Raises as `check_meshes`."""
+    """Runs attempts from their seed and number; `render` renders successes. Raises as `require_stated_meshes`."""
 
     def __init__(self, session: Session, *, render: bool) -> None:
         self._render = render
         if render:
-            check_meshes(session)
+            require_stated_meshes(session)
         self._simulators = SimulatorCache(session)
         # The files that the expert's planner needs may be gone when the first job comes.
         self._simulators.get(AttemptJob(session.config.seed, 0)).prepare()
@@ -39,10 +39,10 @@ class AttemptRunner(Closable):
         self._simulators.close()
 
 
-def check_meshes(session: Session) -> None:
+def require_stated_meshes(session: Session) -> None:
     """Raise ResourceError if this process renders other visual meshes than the config states."""
     expected = session.config.meshes
-    if expected is not None and (found := mesh_differences(expected, describe_meshes(session), _PLACE_NAMES)):
+    if expected is not None and (found := mesh_differences(expected, describe_meshes(session), _MESH_SIDE_LABELS)):
         raise ResourceError(
             f"a worker on {platform.node()} would show other meshes than the recorder: {'; '.join(found)}; "
             "install the same meshes and the same yamsim there, then continue with --resume"

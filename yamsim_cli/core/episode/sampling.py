@@ -26,11 +26,11 @@ from .expert import arm_sides
 from .simulator import Simulator, SimulatorCache, open_episode
 
 MAX_DRAWS = 20  # samples of the start, after which an attempt has no start because the goal already held in each
-_MAX_START_SPEED = 0.1  # m/s and rad/s, of an object at the start; rolling objects get below it
-HOLDS_ALREADY = "the goal holds already at the start"
+_MAX_START_SPEED = 0.1  # m/s and rad/s, of an object after settling; a faster one has not come to rest
+GOAL_HOLDS_AT_START = "the goal holds already at the start"
 
 DROP_HEIGHT = 0.5  # m over the table, where the search for an object's resting height starts
-SPARE_HEIGHT = 2.0  # m between objects that wait above the table until they are placed
+WAITING_OBJECT_SPACING = 2.0  # m between objects that wait above the table until they are placed
 SPAWN_GAP = 2e-4  # m between a placed object and its support, so that no contact exists before the first step
 
 
@@ -41,9 +41,7 @@ def sample_attempt(simulator: Simulator, job: AttemptJob) -> Attempt:
     no start if its objects have no room, or if its goal holds in every sampled start; see `describe_missing_start`.
     """
     config, task, roles = simulator.config, simulator.config.task, simulator.roles
-    attempt = Attempt(
-        job, None, _sample_attempt_randomization(config, job), roles=roles, phrasing=sample_phrasing(task, job)
-    )
+    attempt = Attempt(job, None, sample_variation(config, job), roles=roles, phrasing=sample_phrasing(task, job))
     scene = simulator.apply_randomization(attempt)
     moving: Attempt | None = None
     for number in range(MAX_DRAWS):
@@ -73,14 +71,16 @@ def describe_missing_start(simulator: Simulator, attempt: Attempt) -> str:
     places = sample_object_placements(simulator, attempt.job)
     if isinstance(places, str):
         return f"no free place for the {places} in its start region"
-    return f"{HOLDS_ALREADY}, in each of {MAX_DRAWS} samples"
+    return f"{GOAL_HOLDS_AT_START}, in each of {MAX_DRAWS} samples"
 
 
-def _sample_attempt_randomization(config: RecordConfig, job: AttemptJob) -> RandomizationSample:
+def sample_variation(config: RecordConfig, job: AttemptJob) -> RandomizationSample:
+    """Sample an attempt's variation in the look of the config, without distractors."""
     if not config.randomization.varied_parts:
         return RandomizationSample()
     dofs = [config.rig.arms[number].robot.dof for number in config.rig.recording_order]
-    return sample_randomization(config.randomization, job, len(config.scene.lights), config.task.objects, dofs)
+    lights, objects = len(config.scene.lights), config.task.objects
+    return sample_randomization(config.randomization, job, lights, objects, dofs, config.look)
 
 
 def _local_box_function(simulator: Simulator) -> LocalBoxFunction:
@@ -88,13 +88,13 @@ def _local_box_function(simulator: Simulator) -> LocalBoxFunction:
     world = make_sim_world(scene, replica.data, arm_sides(simulator.config))
 
     @functools.cache
-    def block(name: str, opened: tuple[tuple[str, float], ...]) -> Array:
+    def local_box_of_object(name: str, opened: tuple[tuple[str, float], ...]) -> Array:
         qpos = scene.model.qpos0.copy()
         _set_openings(scene, qpos, name, dict(opened))
         replica.set_state(qpos)
         return world.local_box(name)
 
-    return lambda name, opened: block(name, tuple(opened.items()))
+    return lambda name, opened: local_box_of_object(name, tuple(opened.items()))
 
 
 def _set_openings(scene: CompiledScene, qpos: Array, name: str, opened: Mapping[str, float]) -> None:
@@ -106,7 +106,7 @@ def _set_openings(scene: CompiledScene, qpos: Array, name: str, opened: Mapping[
 
 def _drop_objects(simulator: Simulator, places: Mapping[str, ObjectPlacement]) -> Array:
     scene, top = simulator.scene, simulator.config.widened_table.top_height
-    waiting = {name: pose((0.0, 0.0, top + SPARE_HEIGHT * (k + 1))) for k, name in enumerate(places)}
+    waiting = {name: pose((0.0, 0.0, top + WAITING_OBJECT_SPACING * (k + 1))) for k, name in enumerate(places)}
     qpos = scene.start_qpos(ObjectLayout(waiting), start_postures(simulator.config))
     for name, placed in places.items():
         _set_openings(scene, qpos, name, placed.joint_openings)
@@ -131,22 +131,22 @@ def _crumple_cloths(simulator: Simulator, start: Array, rng: np.random.Generator
     return start
 
 
-_CHECKED_ATTEMPTS = 3  # attempts after which a task without any start is rejected; usually the first has one
+_MAX_START_ATTEMPTS = 3  # attempts after which a task without any start is rejected; usually the first has one
 
 
 def require_start(session: Session) -> None:
     """Raise ConflictError, with a path from the root, if none of a task's first attempts has a start."""
     task = session.config.task
     with SimulatorCache(session.without_meshes()) as simulators:
-        for number in range(_CHECKED_ATTEMPTS):
+        for number in range(_MAX_START_ATTEMPTS):
             job = AttemptJob(session.config.seed, number)
             simulator = simulators.get(job)
             attempt = sample_attempt(simulator, job)
             if attempt.layout is not None:
                 return
             why = describe_missing_start(simulator, attempt)
-    message = f"{why}; none of the first {_CHECKED_ATTEMPTS} attempts of seed {session.config.seed} has a start"
-    if why.startswith(HOLDS_ALREADY):
+    message = f"{why}; none of the first {_MAX_START_ATTEMPTS} attempts of seed {session.config.seed} has a start"
+    if why.startswith(GOAL_HOLDS_AT_START):
         raise ConflictError(message, ("task", "goal"))
     role = next(role for role in reversed(list(task.starts)) if task.starts[role].on == TABLE)
     raise ConflictError(message, ("task", "starts", role))

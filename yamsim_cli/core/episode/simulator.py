@@ -1,15 +1,19 @@
 from __future__ import annotations
 
+import copy
 import functools
 from collections import OrderedDict
 from collections.abc import Callable
+from dataclasses import replace
 
+from ...camera_rendering import EffectsCamera, EffectsRenderer, with_lens
 from ..attempt_data import Attempt, AttemptJob
 from ..closable import Closable
 from ..config.goals.role_assignment import RoleAssignment
 from ..config.session import Session
 from ..errors import SimulationError
 from ..expert.planning.arm_solvers import ArmIkAndDynamics, make_arm_ik_and_dynamics
+from ..geometry.camera import Intrinsics
 from ..rendering.renderer import SceneRenderer
 from ..rendering.scene_labels import SceneLabels, make_scene_labels
 from ..scene.build import build_scene
@@ -17,7 +21,7 @@ from ..scene.compiled import CompiledScene
 from ..scene.start_sampling import sample_roles
 from ..sim.placement import DistractorPlacer
 from ..sim.state_replay import StateReplay
-from .episode import Episode, EpisodeGoal, OnStep
+from .episode import Episode, EpisodeGoal, PhysicsStepCallback
 from .episode_rules import EpisodeRules
 from .expert import ExpertPlanner, arm_sides
 from .randomized_scene import RandomizedScene
@@ -78,8 +82,25 @@ class Simulator(Closable):
         """The renderer; raises ResourceError if no OpenGL context can be made."""
         if self._renderer is None:
             size = self.config.image.size_px
-            self._renderer = SceneRenderer(self.scene.model, size, self.config.render.fine_size(size))
+            effects = {name: each for name in self.scene.cameras if (each := self.config.effects_of(name))}
+            self._renderer = EffectsRenderer(self.scene.model, size, self.config.render, effects)
         return self._renderer
+
+    def intrinsics(self, camera: str) -> Intrinsics:
+        """Return the intrinsics of a recorded camera, with its lens, for images of the config's size."""
+        ideal = self.state_replay.intrinsics(camera, self.config.image.size_px)
+        return with_lens(ideal, self.config.effects_of(camera))
+
+    @functools.cached_property
+    def effects_cameras(self) -> dict[str, EffectsCamera]:
+        """Name -> camera, for the recorded cameras with effects."""
+        timing = self.config.task.timing
+        period = timing.tick_seconds * timing.ticks_per_frame
+        return {
+            name: EffectsCamera(name, number, effects, period)
+            for number, name in enumerate(self.scene.cameras)
+            if (effects := self.config.effects_of(name)) is not None
+        }
 
     def close(self) -> None:
         """Free the renderer."""
@@ -106,9 +127,9 @@ def _make_scene_labels(session: Session, scene: CompiledScene) -> SceneLabels:
     return make_scene_labels(scene.model, config.rig, names, boards=config.boards, cloths=scene.cloths)
 
 
-_MAX_SIMULATORS = 4  # each holds a compiled scene and, once used, a renderer
+MAX_SIMULATORS = 4  # each holds a compiled scene and, once used, a renderer
 
-_RolesKey = tuple[tuple[str, str, float], ...]
+_RoleAssignmentKey = tuple[tuple[str, str, float], ...]
 
 
 def sample_roles_for(session: Session, job: AttemptJob) -> RoleAssignment:
@@ -123,11 +144,11 @@ def make_simulator(session: Session, job: AttemptJob) -> Simulator:
 
 
 class SimulatorCache(Closable):
-    """Makes simulators for the objects of attempts, and keeps the last few."""
+    """Makes simulators for the objects of attempts, and keeps the last `limit`."""
 
-    def __init__(self, session: Session) -> None:
-        self.session = session
-        self._simulators: OrderedDict[_RolesKey, Simulator] = OrderedDict()
+    def __init__(self, session: Session, limit: int = MAX_SIMULATORS) -> None:
+        self.session, self._limit = session, limit
+        self._simulators: OrderedDict[_RoleAssignmentKey, Simulator] = OrderedDict()
         self._tools = functools.cache(functools.partial(make_arm_ik_and_dynamics, session.config.rig))
 
     def get(self, job: AttemptJob) -> Simulator:
@@ -137,7 +158,7 @@ class SimulatorCache(Closable):
         if key in self._simulators:
             self._simulators.move_to_end(key)
             return self._simulators[key]
-        while len(self._simulators) >= _MAX_SIMULATORS:
+        while len(self._simulators) >= self._limit:
             self._simulators.popitem(last=False)[1].close()
         made = self._simulators[key] = Simulator(session_for_roles(self.session, roles), roles, self._tools)
         return made
@@ -148,10 +169,22 @@ class SimulatorCache(Closable):
             self._simulators.popitem()[1].close()
 
 
-def open_episode(simulator: Simulator, attempt: Attempt, rules: EpisodeRules, on_step: OnStep | None = None) -> Episode:
-    """Return the episode of an attempt at its start."""
+def open_episode(
+    simulator: Simulator,
+    attempt: Attempt,
+    rules: EpisodeRules,
+    on_step: PhysicsStepCallback | None = None,
+    *,
+    own_model: bool = False,
+) -> Episode:
+    """Return the episode of an attempt at its start.
+
+    With `own_model`, the episode has a copy of the model, so that other episodes of the simulator can run meanwhile.
+    """
     assert attempt.start is not None, "an attempt without a layout has no episode"
     task = simulator.config.task
     goal = EpisodeGoal(task.goal, simulator.roles, task.hold_ticks)
     scene = simulator.apply_randomization(attempt)
+    if own_model:
+        scene = replace(scene, model=copy.copy(scene.model))
     return Episode(scene, attempt.start, task.timing, arm_sides(simulator.config), goal, rules, on_step=on_step)

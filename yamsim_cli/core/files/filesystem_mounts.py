@@ -11,17 +11,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-_TABLE = Path("/proc/self/mountinfo")
+_MOUNT_TABLE_FILE = Path("/proc/self/mountinfo")
 
-# Filesystems with files on another machine. Every `fuse.*` also counts, except those in `_LOCAL_FUSE`.
-_NETWORK = re.compile(
+# Filesystems with files on another machine. Every `fuse.*` also counts, except those in `_LOCAL_FUSE_FILESYSTEMS`.
+_NETWORK_FILESYSTEMS = re.compile(
     "9p|afs|autofs|beegfs|ceph|cifs|coda|davfs|fuse|gfs2|glusterfs|gpfs|lustre|ncpfs|nfs|nfs4|ocfs2|orangefs|prl_fs|"
     "pvfs2|smb3|smbfs|vboxsf|wekafs"
 )
-_LOCAL_FUSE = re.compile(r"fuse\.(fuse-overlayfs|lxcfs|portal|snapfuse|squashfuse)")
+_LOCAL_FUSE_FILESYSTEMS = re.compile(r"fuse\.(fuse-overlayfs|lxcfs|portal|snapfuse|squashfuse)")
 # Filesystems whose locks (flock) reach other machines. Source: flock(2) for NFS and CIFS; the others' manuals.
-_SHARED_LOCKS = re.compile(r"ceph|cifs|gfs2|glusterfs|fuse\.glusterfs|gpfs|nfs|nfs4|ocfs2|smb3")
-_UNSHARED_OPTIONS = frozenset(["nolock", "local_lock=all", "local_lock=flock", "nobrl", "localflock"])
+_NETWORK_LOCK_FILESYSTEMS = re.compile(r"ceph|cifs|gfs2|glusterfs|fuse\.glusterfs|gpfs|nfs|nfs4|ocfs2|smb3")
+_LOCAL_LOCK_OPTIONS = frozenset(["nolock", "local_lock=all", "local_lock=flock", "nobrl", "localflock"])
 
 _MAX_LINKS = 40  # symbolic links in a path; more are a loop. Source: the kernel's limit, path_resolution(7)
 
@@ -36,8 +36,8 @@ class Mount:
         options: of the mount and of the filesystem.
     """
 
-    number: int
-    parent: int
+    mount_id: int
+    parent_id: int
     point: PurePosixPath
     kind: str
     source: str
@@ -46,8 +46,8 @@ class Mount:
     @property
     def is_network(self) -> bool:
         """Whether the files are, or may be, on another machine. For FUSE and automounters, the table does not say."""
-        return bool(_NETWORK.fullmatch(self.kind)) or (
-            self.kind.startswith("fuse.") and not _LOCAL_FUSE.fullmatch(self.kind)
+        return bool(_NETWORK_FILESYSTEMS.fullmatch(self.kind)) or (
+            self.kind.startswith("fuse.") and not _LOCAL_FUSE_FILESYSTEMS.fullmatch(self.kind)
         )
 
     @property
@@ -55,13 +55,13 @@ class Mount:
         """Whether other machines that can write to the filesystem see a lock of this machine."""
         if not self.is_network:
             return True
-        return bool(_SHARED_LOCKS.fullmatch(self.kind)) and not self.options & _UNSHARED_OPTIONS
+        return bool(_NETWORK_LOCK_FILESYSTEMS.fullmatch(self.kind)) and not self.options & _LOCAL_LOCK_OPTIONS
 
 
 def read_mounts() -> list[Mount]:
     """Return the current mount table; empty on systems without one, such as macOS."""
     try:
-        return parse_mounts(_TABLE.read_text(errors="surrogateescape"))
+        return parse_mounts(_MOUNT_TABLE_FILE.read_text(errors="surrogateescape"))
     except OSError:
         return []
 
@@ -84,13 +84,15 @@ def mount_at(path: PurePosixPath, mounts: Sequence[Mount]) -> Mount | None:
 
     The search goes down from the root, which excludes mounts that later mounts cover.
     """
-    numbers = {mount.number for mount in mounts}
-    current = next((mount for mount in mounts if mount.parent not in numbers or mount.parent == mount.number), None)
+    numbers = {mount.mount_id for mount in mounts}
+    current = next(
+        (mount for mount in mounts if mount.parent_id not in numbers or mount.parent_id == mount.mount_id), None
+    )
     while current is not None:
         below = [
             mount
             for mount in mounts
-            if mount.parent == current.number and mount is not current and path.is_relative_to(mount.point)
+            if mount.parent_id == current.mount_id and mount is not current and path.is_relative_to(mount.point)
         ]
         if not below:
             return current

@@ -7,14 +7,16 @@ from pathlib import Path
 
 from ..errors import ConfigError, ResourceError, suggest_similar
 
-AUTO = ("quality", "auto")  # kind and name of a config for which `Locations.auto_quality` is loaded instead
-IMPORTED = "imported"  # folder of the asset cache with meshes that the user imported; no lock file lists them
+AUTO_QUALITY = ("quality", "auto")  # kind and name of a config for which `Locations.auto_quality` is loaded instead
+IMPORTED_MESH_FOLDER = (
+    "imported"  # folder of the asset cache with meshes that the user imported; no lock file lists them
+)
 _CONFIG_SUFFIXES = (".yaml", ".yml")
 _CAMERA_SUFFIXES = (*_CONFIG_SUFFIXES, ".json", ".xml")  # also of other programs
-_KITCHEN = "kitchen_"  # prefix of the names of kitchen objects
+_KITCHEN_PREFIX = "kitchen_"  # prefix of the names of kitchen objects
 
 # Asset set -> folder of its mesh files; None if scenes show primitives instead.
-Meshes = Mapping[str, Path | None]
+MeshFolders = Mapping[str, Path | None]
 
 # Kind -> path of its configs below a data root, with `*` for the name.
 _CONFIG_PATTERNS = {"robots": "robot_models/*/model.yaml", "grippers": "robot_models/grippers/*/gripper.yaml"}
@@ -22,7 +24,7 @@ _CONFIG_PATTERNS = {"robots": "robot_models/*/model.yaml", "grippers": "robot_mo
 _PACKAGE = Path(__file__).resolve().parents[2]
 
 
-def _built_in() -> Path:
+def _built_in_data_folder() -> Path:
     packaged = _PACKAGE / "_data"
     return packaged if packaged.is_dir() else _PACKAGE.parent
 
@@ -53,7 +55,7 @@ class Locations:
     data: tuple[Path, ...]
     assets: Path
     auto_quality: str = "balanced"
-    meshes: Meshes = field(default_factory=dict)
+    meshes: MeshFolders = field(default_factory=dict)
 
     @classmethod
     def from_environment(cls, environ: Mapping[str, str]) -> Locations:
@@ -65,7 +67,7 @@ class Locations:
             assets = Path(environ["XDG_CACHE_HOME"]) / "yamsim" / "assets"
         else:
             assets = Path(environ.get("HOME") or "~").expanduser() / ".cache" / "yamsim" / "assets"
-        return cls(data=(*roots, _built_in()), assets=assets)
+        return cls(data=(*roots, _built_in_data_folder()), assets=assets)
 
     def find_data_file(self, relative: str) -> Path:
         """Return the file at `relative` in the first data root that has it. Raises ResourceError if none has."""
@@ -82,7 +84,7 @@ class Locations:
         depth = place.split("/").index("*") if kind in _CONFIG_PATTERNS else -1
         found = {path.relative_to(root).parts[depth] for root in self.data for path in root.glob(place)}
         names = {name.removesuffix(".yaml") for name in found}
-        return sorted(names | {AUTO[1]} if kind == AUTO[0] else names)
+        return sorted(names | {AUTO_QUALITY[1]} if kind == AUTO_QUALITY[0] else names)
 
     def config_file(self, kind: str, name: str) -> Path:
         """Return the file of a named config, or of a path that ends in `.yaml` or `.yml`; raise ConfigError if there is
@@ -109,13 +111,13 @@ class Locations:
             robots = "; or an arm and its gripper, such as yam_pro+linear_4310" if kind == "rigs" else ""
             valid = suggest_similar(name, self.config_names(kind))
             raise ConfigError(f"unknown {kind.removesuffix('s')} {name!r}; {valid}{robots}{hint}")
-        chosen = self.auto_quality if (kind, name) == AUTO else name
+        chosen = self.auto_quality if (kind, name) == AUTO_QUALITY else name
         return self.find_data_file(config_path_pattern(kind).replace("*", chosen))
 
     def _find_prefixed_name(self, kind: str, name: str) -> str | None:
         """Return the only config `<number>_<name>` (`013_apple`), or else `kitchen_<name>`."""
         names = self.config_names(kind)
         found = [other for other in names if re.fullmatch(rf"\d[^_]*_{re.escape(name)}", other)]
-        if not found and (ours := f"{_KITCHEN}{name}") in names:
+        if not found and (ours := f"{_KITCHEN_PREFIX}{name}") in names:
             return ours
         return found[0] if len(found) == 1 else None

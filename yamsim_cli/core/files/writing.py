@@ -22,7 +22,7 @@ from pathlib import Path
 
 from ..errors import ResourceError, UsageError
 
-# Errors of a path, for which `why_not_directory` gives a clearer reason than the system's text.
+# Errors of a path, for which `directory_obstacle` gives a clearer reason than the system's text.
 _PATH_ERRORS = (errno.EEXIST, errno.ENOTDIR, errno.ENOENT, errno.ELOOP, errno.ENAMETOOLONG)
 _FLUSH_THREADS = 16  # each waits for the disk and releases the GIL
 
@@ -213,14 +213,14 @@ def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[Staged
     """
     final = _resolve_unnamed(final)
     _refuse_own_directory(final)
-    _remove_stale(final.parent, re.compile(rf"\.{re.escape(final.name)}\.[0-9a-f]{{32}}\.part"))
+    _remove_unlocked_folders(final.parent, re.compile(rf"\.{re.escape(final.name)}\.[0-9a-f]{{32}}\.part"))
 
     def make() -> Path:
         path = final.with_name(f".{final.name}.{uuid.uuid4().hex}.part")
         path.mkdir()
         return path
 
-    with _locked_folder(make) as path:
+    with _create_locked_folder(make) as path:
         yield from _sync_and_rename(StagedDirectory(path), final, overwrite=overwrite)
 
 
@@ -245,8 +245,8 @@ def _sync_and_rename(stage: StagedDirectory, final: Path, *, overwrite: bool) ->
 @contextlib.contextmanager
 def scratch_directory(prefix: str) -> Iterator[Path]:
     """Yield a new temporary folder for the block; first remove folders of killed processes."""
-    _remove_stale(Path(tempfile.gettempdir()), re.compile(rf"{re.escape(prefix)}\w{{8}}"))
-    with _locked_folder(lambda: Path(tempfile.mkdtemp(prefix=prefix))) as folder:
+    _remove_unlocked_folders(Path(tempfile.gettempdir()), re.compile(rf"{re.escape(prefix)}\w{{8}}"))
+    with _create_locked_folder(lambda: Path(tempfile.mkdtemp(prefix=prefix))) as folder:
         try:
             yield folder
         finally:
@@ -254,11 +254,11 @@ def scratch_directory(prefix: str) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def _locked_folder(make: Callable[[], Path]) -> Iterator[Path]:
+def _create_locked_folder(make: Callable[[], Path]) -> Iterator[Path]:
     """Yield a new folder, whose lock marks it as in use."""
     while True:
         folder = make()
-        # Another process may remove the folder as stale before this process locks it. Then create another.
+        # Before this process locks the folder, another one may remove it as a leftover. Then create another.
         try:
             descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         except FileNotFoundError:
@@ -274,8 +274,8 @@ def _locked_folder(make: Callable[[], Path]) -> Iterator[Path]:
             os.close(descriptor)
 
 
-def _remove_stale(parent: Path, names: re.Pattern[str]) -> None:
-    """Remove unlocked folders with matching names, which are those of killed processes."""
+def _remove_unlocked_folders(parent: Path, names: re.Pattern[str]) -> None:
+    """Remove unlocked folders with matching names, which killed processes left behind."""
     for folder in parent.iterdir() if parent.is_dir() else ():
         if not names.fullmatch(folder.name):
             continue
@@ -307,7 +307,7 @@ def nearest_directory(path: Path) -> Path:
     return next(folder for folder in (path, *path.absolute().parents) if os.path.isdir(folder))
 
 
-def why_not_directory(path: Path) -> str | None:
+def directory_obstacle(path: Path) -> str | None:
     """Return why no directory can be created at `path`, such as `it is a file`; None if unknown."""
     try:
         path.lstat()
@@ -327,7 +327,7 @@ def why_not_directory(path: Path) -> str | None:
 
 def describe_refusal(error: OSError, path: Path) -> str:
     """Return, as a clause, why a directory cannot be created or filled at `path`."""
-    found = why_not_directory(path) if error.errno in _PATH_ERRORS else None
+    found = directory_obstacle(path) if error.errno in _PATH_ERRORS else None
     return found or error.strerror or str(error)
 
 
@@ -345,7 +345,7 @@ def _refuse_own_directory(path: Path) -> None:
 def move_to_backup(path: Path) -> Path:
     """Rename `path` to the first free `<name>.old-<n>` beside it, and return the new path.
 
-    UsageError is raised if `path` is or contains this process's current directory, and so that of the user's shell.
+    UsageError is raised if `path` is or contains the current directory of this process, and so of the user's shell.
     """
     path = _resolve_unnamed(path)
     _refuse_own_directory(path)

@@ -1,6 +1,6 @@
 """A flat board of ArUco markers.
 
-The frame `board` has its origin at the centre, x right, y up, z out of the paper. The frame `board_cv` is that of
+The frame `board` has its origin at the centre, x right, y up, z out of the paper. The frame `board_cv` belongs to
 OpenCV's `GridBoard`: origin at the top-left corner, x right, y down, z into the paper.
 """
 

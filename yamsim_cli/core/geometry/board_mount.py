@@ -17,8 +17,8 @@ from .stl import Faces
 
 # mm, x of the end and z of the top of the arm base's foot in its mesh. Source: MuJoCo Menagerie i2rt_yam, model2.stl.
 _FOOT_END, _FOOT_TOP = 100.0, 0.6
-_STEP = 5.0  # mm, of the step in front of the foot
-_PAPER = 0.1  # mm, thickness of the board
+_STEP_DEPTH = 5.0  # mm, of the step in front of the foot
+_PAPER_THICKNESS = 0.1  # mm, thickness of the board
 
 
 def mount_mesh(
@@ -40,7 +40,7 @@ def mount_mesh(
     board_x = -board_centre_mm[0] if mirror_x else board_centre_mm[0]
     board_y, board_z = board_centre_mm[1:]
     half_width, half_height = board_size_mm[0] / 2, board_size_mm[1] / 2
-    plate_x0, plate_top = max(x0, 2 * board_x - x1), board_z - _PAPER
+    plate_x0, plate_top = max(x0, 2 * board_x - x1), board_z - _PAPER_THICKNESS
     on_mount = (
         plate_x0 <= board_x - half_width
         and board_x + half_width <= x1
@@ -59,7 +59,7 @@ def mount_mesh(
     # The tongue is centred on y = 0, like the foot, and always ends at the plate.
     reach = max(0.0, min(-y0, y1))
     foot_end = min(max(x0, _FOOT_END), plate_x0)
-    step_end = min(foot_end + _STEP, plate_x0)
+    step_end = min(foot_end + _STEP_DEPTH, plate_x0)
     plate = [(plate_x0, y0, z0), (x1, y1, plate_top)]
     bridge = [(foot_end, -reach, z0), (plate_x0, reach, plate_top)]
     step = [(foot_end, -reach, z0), (step_end, reach, z1)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,6 +35,16 @@ class Intrinsics:
         """Camera matrix (3, 3), px."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    def project(self, points_in_cam: ArrayLike) -> Array:
+        """Project points (n, 3) in the camera frame, with z > 0, to pixels (n, 2)."""
+        return project_points(self.K, points_in_cam)
+
+    def rays(self, pixels: ArrayLike) -> Array:
+        """Return the directions (n, 3), with z = 1, in which the camera sees pixels (n, 2)."""
+        places = np.atleast_2d(np.asarray(pixels, dtype=np.float64))
+        x, y = (places[:, 0] - self.cx) / self.fx, (places[:, 1] - self.cy) / self.fy
+        return np.column_stack([x, y, np.ones(len(places))])
+
 
 @dataclass(frozen=True)
 class CameraModel:
@@ -44,6 +54,7 @@ class CameraModel:
         width, height: px.
         K: camera matrix, row by row, px.
         distortion: in OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]`; empty for none.
+        fisheye: whether `distortion` is `k1 k2 k3 k4` of OpenCV's fisheye model.
         focal_sigma: relative standard deviation of the focal length; a careful calibration gives 0.003.
         intrinsics_covariance: covariance (4, 4), row by row, of estimated intrinsics; empty if only `focal_sigma` is
             given. Order: logarithm of the focal length, principal point (in focal lengths, right and down), `k1`.
@@ -55,6 +66,7 @@ class CameraModel:
     distortion: tuple[float, ...] = ()
     focal_sigma: float = 0.003
     intrinsics_covariance: tuple[tuple[float, ...], ...] = ()
+    fisheye: bool = False
 
     @classmethod
     def from_focal_length(cls, width: int, height: int, focal: float, focal_sigma: float = 0.003) -> CameraModel:
@@ -82,7 +94,7 @@ class CameraModel:
         shift = (factor - 1) / 2
         K = ((fx * factor, skew * factor, cx * factor + shift), (0.0, fy * factor, cy * factor + shift), last)
         size = (round(self.width * factor), round(self.height * factor))
-        return CameraModel(*size, K, self.distortion, self.focal_sigma, self.intrinsics_covariance)
+        return replace(self, width=size[0], height=size[1], K=K)
 
 
 def opencv_from_mujoco(rotation: ArrayLike) -> Array:

@@ -11,7 +11,7 @@ from .se3 import Array
 from .stl import Faces
 
 _MERGE_DISTANCE = 1e-6  # of the surface's longest side, within which vertices are merged
-_PLANES = 800  # tangent planes that approximate a convex hull
+_TANGENT_PLANES = 800  # tangent planes that approximate a convex hull
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def is_closed(faces: Faces) -> bool:
     return bool(len(faces)) and count_open_edges(faces) == 0
 
 
-def sphere_directions(count: int = _PLANES) -> Array:
+def sphere_directions(count: int = _TANGENT_PLANES) -> Array:
     """Return unit vectors (count, 3) spread evenly over the sphere, on a Fibonacci lattice."""
     k = np.arange(count) + 0.5
     down, round_ = np.arccos(1 - 2 * k / count), np.pi * (1 + math.sqrt(5)) * k

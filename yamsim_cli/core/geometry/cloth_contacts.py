@@ -23,7 +23,7 @@ def mask_between_pads(points: Array, width: float, deep: tuple[float, float]) ->
     return found
 
 
-def nearest_per_layer(
+def nearest_point_per_layer(
     points: Array, corners: NDArray[np.int_], lines: Array, deep: tuple[float, float]
 ) -> NDArray[np.int_]:
     """Return the sorted indices of the points that pads grasp: the nearest point of each layer between the pads.

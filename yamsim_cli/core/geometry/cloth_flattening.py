@@ -11,16 +11,16 @@ from .se3 import Array
 
 Point = tuple[int, int]
 
-_ON_TABLE = 0.8  # layer thicknesses over the lowest point, below which a point lies on the table
+_ON_TABLE_LAYERS = 0.8  # layer thicknesses over the lowest point, below which a point lies on the table
 _FIT_SCALE = 0.03  # share of the sheet's side, distance from the fit at which the weight of a point is 1/4
 _FIT_ROUNDS = 10  # of the reweighted fit
 
 # Shares of the sheet's side.
 _MIN_DISPLACEMENT = 0.05  # least displacement of a point that is pulled to its flat position
 _MIN_SPACING = 0.15  # between candidate points
-_STRAIGHTENING = 0.13  # length of a straightening pull
+_STRAIGHTENING_LENGTH = 0.13  # length of a straightening pull
 
-_FOOTPRINT = 0.028  # m, radius around a point that a hand with open fingers occupies
+_HAND_RADIUS = 0.028  # m, radius around a point that a hand with open fingers occupies
 _MAX_SURROUNDINGS = 2.2  # layer thicknesses, height of the surroundings over a grasped point
 _MAX_GRASP_HEIGHT = 4.5  # layer thicknesses, height of a grasped point over the lowest point
 
@@ -30,9 +30,9 @@ _COVERING, _ADJACENT = 0.3, 2
 # A point belongs to a ridge if it is higher than this many thicknesses and this share of the sheet's height range.
 _RIDGE_LAYERS, _RIDGE_SHARE = 2.0, 0.4
 
-_TAUT = 1.05  # largest distance of two pulled points, as a share of their distance in the flat sheet
+_MAX_STRETCH_RATIO = 1.05  # largest distance of two pulled points, as a share of their distance in the flat sheet
 _MAX_POINTS = 3  # for unfolding, and as many beside a ridge for straightening
-_ARCH = 0.25  # height of the path of an unfolding pull, as a share of its length
+_ARCH_HEIGHT_RATIO = 0.25  # height of the path of an unfolding pull, as a share of its length
 _HEIGHT_SCALE = 0.2  # m, height range that adds as much to the unevenness as a mean displacement of one side length
 
 
@@ -68,7 +68,7 @@ def _fit_side(points: Array, rest: Array, thickness: float) -> Array:
     """Fit the flat sheet `rest` with its upper side up, by a planar rigid fit reweighted against outliers."""
     seen, flat = points.reshape(-1, 3)[:, :2], rest[:, :2]
     low = points[..., 2].ravel() - points[..., 2].min()
-    weights = (low < _ON_TABLE * thickness).astype(float)
+    weights = (low < _ON_TABLE_LAYERS * thickness).astype(float)
     off = _FIT_SCALE * square_side(rest)
     for _ in range(_FIT_ROUNDS):
         middle, centre = (np.average(at, axis=0, weights=weights) for at in (seen, flat))
@@ -118,11 +118,11 @@ def candidate_pulls(
     ]
     # Unfold: pull one or two displaced points to their flat positions.
     off = np.linalg.norm(fitted - points[..., :2], axis=-1)
-    wrong = _select_spread(points, sorted(border, key=lambda point: -off[point]), side)
+    wrong = _select_distant_points(points, sorted(border, key=lambda point: -off[point]), side)
     wrong = [point for point in wrong if off[point] > _MIN_DISPLACEMENT * side]
     for count in (1, 2):
         for some in itertools.combinations(wrong, count):
-            yield ClothPull(some, tuple(fitted[point] for point in some), _ARCH)
+            yield ClothPull(some, tuple(fitted[point] for point in some), _ARCH_HEIGHT_RATIO)
     # Straighten: pull a point beside a ridge away from the ridge, or two corners away from the middle.
     high = points[
         points[..., 2] - points[..., 2].min() > max(_RIDGE_LAYERS * thickness, _RIDGE_SHARE * height_range(points))
@@ -130,13 +130,17 @@ def candidate_pulls(
     if len(high):
         ridge = high[:, :2].mean(axis=0)
         beside = sorted(border, key=lambda point: float(np.linalg.norm(points[point][:2] - ridge)))
-        for point in _select_spread(points, beside, side):
+        for point in _select_distant_points(points, beside, side):
             yield ClothPull((point,), (_outward_target(points[point][:2], ridge, scale * side),), 0.0)
     middle, flat = points.reshape(-1, 3)[:, :2].mean(axis=0), rest.reshape(points.shape)
     corners = [point for point in border if point[0] in (0, rows - 1) and point[1] in (0, columns - 1)]
     for pair in itertools.combinations(corners, 2):
         to = tuple(_outward_target(points[point][:2], middle, scale * side) for point in pair)
-        yield ClothPull(pair, _limit_distance(to, _TAUT * float(np.linalg.norm(flat[pair[0]] - flat[pair[1]]))), 0.0)
+        yield ClothPull(
+            pair,
+            _limit_target_distance(to, _MAX_STRETCH_RATIO * float(np.linalg.norm(flat[pair[0]] - flat[pair[1]]))),
+            0.0,
+        )
 
 
 def square_side(rest: Array) -> float:
@@ -152,11 +156,11 @@ def _is_graspable_point(points: Array, point: Point, spacing: float, high: float
     rows, columns = np.indices(points.shape[:2])
     other = np.maximum(abs(rows - point[0]), abs(columns - point[1])) > _ADJACENT
     covered = (other & (away < spacing) & (over > _COVERING * thickness)).any()
-    hemmed = (over[away < _FOOTPRINT] > _MAX_SURROUNDINGS * high).any()
+    hemmed = (over[away < _HAND_RADIUS] > _MAX_SURROUNDINGS * high).any()
     return not (covered or hemmed) and float(place[2]) - lowest < _MAX_GRASP_HEIGHT * high
 
 
-def _select_spread(points: Array, ordered: Sequence[Point], side: float) -> list[Point]:
+def _select_distant_points(points: Array, ordered: Sequence[Point], side: float) -> list[Point]:
     chosen: list[Point] = []
     for point in ordered:
         if all(np.linalg.norm(points[point] - points[other]) > _MIN_SPACING * side for other in chosen):
@@ -168,10 +172,10 @@ def _select_spread(points: Array, ordered: Sequence[Point], side: float) -> list
 
 def _outward_target(place: Array, other: Array, side: float) -> Array:
     offset = place - other
-    return place + _STRAIGHTENING * side * offset / max(float(np.linalg.norm(offset)), 1e-9)
+    return place + _STRAIGHTENING_LENGTH * side * offset / max(float(np.linalg.norm(offset)), 1e-9)
 
 
-def _limit_distance(places: tuple[Array, ...], length: float) -> tuple[Array, ...]:
+def _limit_target_distance(places: tuple[Array, ...], length: float) -> tuple[Array, ...]:
     one, other = places
     share = max(0.0, 1 - length / max(float(np.linalg.norm(other - one)), 1e-9)) / 2
     return one + share * (other - one), other + share * (one - other)

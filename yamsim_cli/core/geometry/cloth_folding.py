@@ -13,7 +13,7 @@ from .se3 import Array
 ClothFoldKind = Literal["half", "diagonal", "thirds"]
 
 # Rows and columns (n, 2) of the points of two layers of a folded sheet. The k-th points lie on each other.
-Layers = tuple[NDArray[np.int_], NDArray[np.int_]]
+PointsOfTwoLayers = tuple[NDArray[np.int_], NDArray[np.int_]]
 
 # Points (row, column) that are grasped together, each paired with the point onto which it is placed.
 FoldMove = tuple[tuple[tuple[int, int], tuple[int, int]], ...]
@@ -29,7 +29,7 @@ class FoldPlan:
     """
 
     moves: tuple[FoldMove, ...]
-    layers: tuple[Layers, ...]
+    layers: tuple[PointsOfTwoLayers, ...]
     covered: float
 
 
@@ -52,17 +52,17 @@ def fold_plans(kind: ClothFoldKind, rows: int, columns: int) -> list[FoldPlan]:
 def _transform_plan(plan: FoldPlan, size: tuple[int, int], low: bool, left: bool, transposed: bool) -> FoldPlan:
     """Return the fold with its rows reversed (`low`), its columns reversed (`left`), or rows and columns exchanged."""
 
-    def points(given: NDArray[np.int_]) -> NDArray[np.int_]:
+    def map_points(given: NDArray[np.int_]) -> NDArray[np.int_]:
         rows = size[0] - 1 - given[:, 0] if low else given[:, 0]
         columns = size[1] - 1 - given[:, 1] if left else given[:, 1]
         return np.column_stack([columns, rows] if transposed else [rows, columns])
 
-    def point(given: tuple[int, int]) -> tuple[int, int]:
-        row, column = points(np.array([given]))[0]
+    def map_point(given: tuple[int, int]) -> tuple[int, int]:
+        row, column = map_points(np.array([given]))[0]
         return int(row), int(column)
 
-    moves = tuple(tuple((point(one), point(other)) for one, other in move) for move in plan.moves)
-    return FoldPlan(moves, tuple((points(upper), points(lower)) for upper, lower in plan.layers), plan.covered)
+    moves = tuple(tuple((map_point(one), map_point(other)) for one, other in move) for move in plan.moves)
+    return FoldPlan(moves, tuple((map_points(upper), map_points(lower)) for upper, lower in plan.layers), plan.covered)
 
 
 def _half_fold_plan(rows: int, columns: int) -> FoldPlan:
@@ -119,12 +119,12 @@ def sheet_area(points: Array) -> float:
     """Return the area of a sheet of points (rows, columns, 3), folded or not, m2."""
     a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:]
 
-    def triangle(o: Array, p: Array, q: Array) -> Array:
+    def triangle_area(o: Array, p: Array, q: Array) -> Array:
         area: Array = np.linalg.norm(np.cross(p - o, q - o), axis=-1) / 2
         return area
 
     # A cell that is folded along a diagonal keeps its area only in the triangles beside this diagonal.
-    cells = np.maximum(triangle(a, b, c) + triangle(d, b, c), triangle(b, a, d) + triangle(c, a, d))
+    cells = np.maximum(triangle_area(a, b, c) + triangle_area(d, b, c), triangle_area(b, a, d) + triangle_area(c, a, d))
     return float(cells.sum())
 
 

@@ -17,7 +17,7 @@ _REGULARIZATION = 1e-9  # added to the diagonal; variables without influence the
 
 
 class Linearized(Protocol):
-    """A problem, linearized at a state. The leading dimensions (...) are those of a batch, or () of one problem."""
+    """A problem, linearized at a state. The leading dimensions (...) count problems of a batch; () for one problem."""
 
     @property
     def cost(self) -> Array | float:
@@ -44,7 +44,7 @@ class LeastSquares(ABC, Generic[S, L]):
 
     @abstractmethod
     def linearize(self, state: S, before: L | None) -> L | None:
-        """Return the linearized problem; None if undefined there. `before` is that of the last accepted state."""
+        """Linearize at `state`; None if undefined there. `before` is the result at the last accepted state."""
 
     @abstractmethod
     def apply_step(self, state: S, step: Array) -> S:

@@ -11,7 +11,7 @@ from .stl import Faces
 
 Surface = tuple[Array, Faces]
 
-_RESOLUTION = 1e-9  # m, grid to which vertices are rounded before equal ones are merged
+_WELD_GRID = 1e-9  # m, grid to which vertices are rounded before equal ones are merged
 
 
 def loft(loops: Sequence[Array]) -> Surface:
@@ -52,7 +52,7 @@ def _triangle_strip(low: int, high: int, count: int) -> list[NDArray[np.int_]]:
 
 def weld_vertices(vertices: Array, faces: ArrayLike) -> Surface:
     """Merge vertices that are equal to a nanometre, and remove the triangles that thereby lose a corner."""
-    _, kept, index = np.unique(np.round(vertices / _RESOLUTION), axis=0, return_index=True, return_inverse=True)
+    _, kept, index = np.unique(np.round(vertices / _WELD_GRID), axis=0, return_index=True, return_inverse=True)
     whole = index.reshape(-1)[np.asarray(faces)]
     left = (whole != np.roll(whole, 1, axis=1)).all(axis=1)
     return vertices[kept], whole[left].astype(np.int32)

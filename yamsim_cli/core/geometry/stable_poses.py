@@ -13,8 +13,8 @@ _STARTS, _STEPS = 240, 220  # start orientations from which the body rolls, and 
 _SAME_HEIGHT = 4e-4  # m, of the centre of mass, below which stable poses count as one
 _MIN_SHARE = 0.04  # of the start orientations that end in a stable pose
 _MAX_POSES = 6
-_SAME_FACE = np.radians(10.0)  # rad, between two downward directions of one face
-_STEADY = 0.25  # distance of a face's edge from the centre of mass, over its height: tips at 14 degrees
+_SAME_FACE_ANGLE = np.radians(10.0)  # rad, between two downward directions of one face
+_MIN_STEADY_RATIO = 0.25  # distance of a face's edge from the centre of mass, over its height: tips at 14 degrees
 _MIN_REACH, _TILT = 1e-3, np.radians(3.0)  # m, least such distance for all faces; rad, tilt that tests it
 
 
@@ -53,7 +53,7 @@ def stable_poses(points: Array, centre: Array) -> list[StablePose]:
     order = np.argsort(height)
     groups = np.split(order, np.flatnonzero(np.diff(height[order]) > _SAME_HEIGHT) + 1)
     found = [StablePose(down[group[0]], float(height[group[0]]), len(group) / _STARTS) for group in groups]
-    kept = [pose for pose in found if pose.probability >= _MIN_SHARE and _is_face(offsets, pose)]
+    kept = [pose for pose in found if pose.probability >= _MIN_SHARE and _is_supporting_face(offsets, pose)]
     return sorted(kept, key=lambda pose: -pose.probability)[:_MAX_POSES]
 
 
@@ -64,10 +64,14 @@ def placeable_poses(points: Array, centre: Array) -> list[StablePose]:
     found: list[StablePose] = []
     left = np.argsort(height)
     while len(left):
-        near = down[left] @ down[left[0]] > np.cos(_SAME_FACE)
+        near = down[left] @ down[left[0]] > np.cos(_SAME_FACE_ANGLE)
         found.append(StablePose(down[left[0]], float(height[left[0]]), float(near.sum()) / _STARTS))
         left = left[~near]
-    kept = [face for face in found if face.probability >= _MIN_SHARE and _is_face(offsets, face, _STEADY * face.height)]
+    kept = [
+        face
+        for face in found
+        if face.probability >= _MIN_SHARE and _is_supporting_face(offsets, face, _MIN_STEADY_RATIO * face.height)
+    ]
     return sorted(kept, key=lambda pose: -pose.probability)
 
 
@@ -86,7 +90,7 @@ def _resting_directions(offsets: Array) -> tuple[Array, Array]:
     return down, (down @ offsets.T).max(axis=1)
 
 
-def _is_face(offsets: Array, pose: StablePose, reach: float = _MIN_REACH) -> bool:
+def _is_supporting_face(offsets: Array, pose: StablePose, reach: float = _MIN_REACH) -> bool:
     """Return, by small tilts, whether the supporting face reaches `reach` (m) beyond the centre of mass everywhere."""
     across = np.linalg.svd(pose.down[None])[2][1:]
     angle = 2 * np.pi * np.arange(12) / 12

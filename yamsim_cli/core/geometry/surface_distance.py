@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 from .se3 import Array
 from .stl import Faces
 
-_BATCH = 200  # points that are compared at once with the triangles near them
-_CELLS = 16  # grid cells, by which points are grouped, along the longest side of their bounding box
+_POINTS_PER_BATCH = 200  # points that are compared at once with the triangles near them
+_CELLS_PER_SIDE = 16  # grid cells, by which points are grouped, along the longest side of their bounding box
 
 
 def hausdorff_distance(surface: tuple[Array, Faces], other: tuple[Array, Faces], limit: float, samples: int) -> float:
@@ -42,12 +42,12 @@ def distances_to_surface(points: Array, surface: tuple[Array, Faces], limit: flo
     triangles = vertices[faces]
     low, high = triangles.min(axis=1) - limit, triangles.max(axis=1) + limit
     # Compare the points of a cell only with the triangles near this cell.
-    cell = np.floor((points - points.min(axis=0)) / max(float(np.ptp(points, axis=0).max()) / _CELLS, limit))
+    cell = np.floor((points - points.min(axis=0)) / max(float(np.ptp(points, axis=0).max()) / _CELLS_PER_SIDE, limit))
     order = np.lexsort(cell.T)
     starts = np.flatnonzero(np.diff(cell[order], axis=0).any(axis=1)) + 1
     found = np.full(len(points), np.inf)
     for group in np.split(order, starts):
-        for batch in np.array_split(group, -(-len(group) // _BATCH)):
+        for batch in np.array_split(group, -(-len(group) // _POINTS_PER_BATCH)):
             here = points[batch]
             near = ((low <= here.max(axis=0)) & (high >= here.min(axis=0))).all(axis=1)
             if near.any():

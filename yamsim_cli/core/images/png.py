@@ -22,7 +22,7 @@ def encode_png(image: Image, px_per_metre: float | None = None) -> bytes:
     if not done:
         raise ValueError(f"an image of shape {image.shape} could not be encoded as PNG")
     png = encoded.tobytes()
-    return png if px_per_metre is None else _with_scale(png, round(px_per_metre))
+    return png if px_per_metre is None else _insert_resolution(png, round(px_per_metre))
 
 
 def decode_png(data: bytes) -> Image | None:
@@ -38,7 +38,7 @@ _AFTER_HEADER = 8 + 25  # bytes of the signature and of the chunk IHDR
 _UNIT_METRE = 1  # "pixels per metre" in the chunk pHYs
 
 
-def _with_scale(png: bytes, px_per_metre: int) -> bytes:
+def _insert_resolution(png: bytes, px_per_metre: int) -> bytes:
     """Insert the chunk `pHYs`, which OpenCV does not write. Source: PNG specification, 11.3.4.3."""
     body = b"pHYs" + struct.pack(">IIB", px_per_metre, px_per_metre, _UNIT_METRE)
     chunk = struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))

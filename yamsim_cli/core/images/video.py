@@ -139,6 +139,36 @@ _KEY_FRAME_SECONDS = 1  # s between key frames, the only frames to which players
 _MAX_DENOMINATOR = 1_000_000  # of a frame period as a fraction of a second; 1/30 s is not exact as a float
 
 
+def encode_packets(images: Iterable[Image], frame_period: float) -> list[bytes]:
+    """Encode RGB images (height, width, 3) as H.264 in Annex B: a packet for each image, headers at each key frame.
+
+    Args:
+        frame_period: s. It decides only how often key frames come; packets have no times.
+
+    Raises:
+        SimulationError: the encoder rejected an image, or returned another number of packets.
+    """
+    av = _import_av()
+    period = Fraction(frame_period).limit_denominator(_MAX_DENOMINATOR)
+    context, packets, count = None, [], 0
+    try:
+        for count, image in enumerate(images, start=1):
+            frame = av.VideoFrame.from_ndarray(convert_to_yuv420(image, BT601), format="yuv420p")
+            if context is None:
+                context = av.CodecContext.create("libx264", "w")
+                context.width, context.height, context.pix_fmt = frame.width, frame.height, "yuv420p"
+                context.time_base, context.thread_count = period, 1
+                context.options = H264_OPTIONS | {"g": str(max(1, round(_KEY_FRAME_SECONDS / period)))}
+            frame.pts, frame.time_base = count - 1, period
+            packets += [bytes(packet) for packet in context.encode(frame)]
+        packets += [bytes(packet) for packet in context.encode(None)] if context else []
+    except av.FFmpegError as error:
+        raise SimulationError(f"the encoder rejected image {count}: {error}") from error
+    if len(packets) != count:
+        raise SimulationError(f"the encoder returned {len(packets)} packets for {count} images")
+    return packets
+
+
 class VideoWriter:
     """Writes images into one MP4 file, with frame k at exactly k periods; a context manager.
 
@@ -154,6 +184,7 @@ class VideoWriter:
         frame_period: time between two images, s.
         overwrite: whether to move an existing file to a backup. Otherwise an existing file is an error.
         key_frame_interval: frames between key frames; one second by default.
+        scene_cuts: whether the encoder may add key frames where the image changes.
 
     Raises:
         ResourceError: PyAV is not installed or has no H.264 encoder, or the file cannot be written.
@@ -169,6 +200,7 @@ class VideoWriter:
         overwrite: bool = False,
         key_frame_interval: int | None = None,
         matrix: ColorMatrix = BT709,
+        scene_cuts: bool = True,
     ) -> None:
         if not frame_period > 0:
             raise ValueError(f"frame_period must be above 0, not {frame_period}")
@@ -177,7 +209,8 @@ class VideoWriter:
         self.moved_aside: Path | None = None
         self._period = Fraction(frame_period).limit_denominator(_MAX_DENOMINATOR)
         self._overwrite, self._matrix = overwrite, matrix
-        self._interval = key_frame_interval or max(1, round(_KEY_FRAME_SECONDS / self._period))
+        interval = key_frame_interval or max(1, round(_KEY_FRAME_SECONDS / self._period))
+        self._options = H264_OPTIONS | {"g": str(interval)} | ({} if scene_cuts else {"sc_threshold": "0"})
         require_encoder()
         self._check_path()
         self._part = path.with_name(f".{path.name}.{uuid.uuid4().hex}.part")
@@ -221,9 +254,7 @@ class VideoWriter:
 
         # With faststart, the index comes first, and a browser can play the file while it loads.
         container = av.open(str(self._part), "w", format="mp4", options={"movflags": "+faststart"})
-        stream = container.add_stream(
-            "libx264", rate=1 / self._period, options=H264_OPTIONS | {"g": str(self._interval)}
-        )
+        stream = container.add_stream("libx264", rate=1 / self._period, options=self._options)
         stream.width, stream.height, stream.pix_fmt = width + width % 2, height + height % 2, "yuv420p"
         context = stream.codec_context
         context.time_base = self._period

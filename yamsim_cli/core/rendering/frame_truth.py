@@ -10,15 +10,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dataset.ground_truth_files import DEPTH_TOLERANCE, JOINT_COVER, Visibility, visible_points_key
-from ..geometry.camera import opencv_from_mujoco, project_points
+from ..dataset.ground_truth_files import DEPTH_TOLERANCE, JOINT_COVER_RADIUS, Visibility, visible_points_key
+from ..geometry.camera import Intrinsics, opencv_from_mujoco
 from ..geometry.se3 import Array, invert_pose, pose
 from ..images.image import Image
 from ..scene.cloth import grid_triangles
 from .renderer import SceneRenderer
 from .scene_labels import LabelledCloth, LabelledKeypoint, SceneLabels
 
-Depth = NDArray[np.uint16]
+DepthImage = NDArray[np.uint16]
 
 _MAX_DEPTH_MM = 65535  # mm, largest depth that fits into uint16; larger depths are stored as 0
 _MIN_DEPTH = 0.01  # m, depth below which a point counts as behind the camera
@@ -35,7 +35,7 @@ class FrameTruth:
             but for one frame.
     """
 
-    depth_mm: Depth
+    depth_mm: DepthImage
     labels: Image
     arrays: dict[str, NDArray[Any]]
 
@@ -44,16 +44,16 @@ def measure_frame(
     data: mujoco.MjData, camera: str, renderer: SceneRenderer, scene: SceneLabels, T_base_in_world: Array
 ) -> FrameTruth:
     """Render and compute the ground truth of a camera's image. `data` has up-to-date poses of bodies and cameras."""
-    labels, distance = renderer.render_labels_and_depth(data, camera, scene.of_geom, scene.of_flex)
+    labels, distance = renderer.render_labels_and_depth(data, camera, scene.label_of_geom, scene.label_of_flex)
     depth = depth_in_mm(distance)
-    K = renderer.intrinsics(camera).K
+    lens = renderer.intrinsics(camera)
     view = data.cam(camera)
     T_cam_in_world = pose(view.xpos, opencv_from_mujoco(view.xmat))
     T_world_in_cam = invert_pose(T_cam_in_world)
-    boxes, pixels = instance_boxes(labels, scene.instance_of, len(scene.names.instances))
-    sheets = [measure_cloth_visibility(cloth, data.qpos, T_world_in_cam, K, labels, depth) for cloth in scene.cloths]
+    boxes, pixels = instance_boxes(labels, scene.instance_of_label, len(scene.names.instances))
+    sheets = [measure_cloth_visibility(cloth, data.qpos, T_world_in_cam, lens, labels, depth) for cloth in scene.cloths]
     corners = [(sheet.places, sheet.depths, sheet.visibility) for sheet in sheets]
-    points = (_project_keypoints(scene.keypoints, data, T_world_in_cam, K, labels, depth), *corners)
+    points = (_project_keypoints(scene.keypoints, data, T_world_in_cam, lens, labels, depth), *corners)
     places, depths, visibility = (np.concatenate(parts) for parts in zip(*points, strict=True))
     T_object_in_cam = _body_poses_in_camera(data, scene.objects, T_world_in_cam)
     for cloth in scene.cloths:
@@ -72,7 +72,7 @@ def measure_frame(
     return FrameTruth(depth, labels, arrays)
 
 
-def depth_in_mm(distance: NDArray[np.float32]) -> Depth:
+def depth_in_mm(distance: NDArray[np.float32]) -> DepthImage:
     """Convert depths z (height, width) from m to whole mm; depths beyond 65 m become 0."""
     millimetres = np.rint(distance * 1000.0)
     return np.where(millimetres <= _MAX_DEPTH_MM, millimetres, 0).astype(np.uint16)
@@ -109,9 +109,9 @@ def _project_keypoints(
     points: tuple[LabelledKeypoint, ...],
     data: mujoco.MjData,
     T_world_in_cam: Array,
-    K: Array,
+    lens: Intrinsics,
     labels: Image,
-    depth_mm: Depth,
+    depth_mm: DepthImage,
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
     """Return pixel (n, 2), depth z (n,) and visibility (n,) of each keypoint; zeros behind the camera."""
     places, depths = np.zeros((len(points), 2)), np.zeros(len(points))
@@ -122,11 +122,11 @@ def _project_keypoints(
         p = T[:3, :3] @ point.position + T[:3, 3]
         if p[2] < _MIN_DEPTH:
             continue
-        places[k], depths[k] = project_points(K, p)[0], p[2]
+        places[k], depths[k] = lens.project(p)[0], p[2]
         u, v = np.rint(places[k])
         if 0 <= u < width and 0 <= v < height:
             normal = None if point.normal is None else T[:3, :3] @ point.normal
-            seen = is_visible(point, p, normal, K, (int(u), int(v)), labels, depth_mm)
+            seen = is_visible(point, p, normal, lens, (int(u), int(v)), labels, depth_mm)
             visibility[k] = Visibility.VISIBLE if seen else Visibility.HIDDEN
     return places, depths, visibility
 
@@ -135,22 +135,22 @@ def is_visible(
     point: LabelledKeypoint,
     p: Array,
     normal: Array | None,
-    K: Array,
+    lens: Intrinsics,
     pixel: tuple[int, int],
     labels: Image,
-    depth_mm: Depth,
+    depth_mm: DepthImage,
 ) -> bool:
     """Return whether a keypoint at `p` (3,) in the camera's frame, m, is visible to the camera.
 
-    A joint's centre is visible if its pixel shows one of the joint's links, at most `JOINT_COVER` nearer. A point on a
-    surface is visible if its pixel shows its body at the depth of the tangent plane. A board's corner lies on the edge
-    of the print, where half of the pixels show another surface, so its neighbouring pixels count too.
+    A joint's centre is visible if its pixel shows one of the joint's links, at most `JOINT_COVER_RADIUS` nearer. A
+    point on a surface is visible if its pixel shows its body at the depth of the tangent plane. A board's corner lies
+    on the edge of the print, where half of the pixels show another surface, so its neighbouring pixels count too.
 
     `normal` (3,) is outward in the camera's frame, or None for a joint's centre. `pixel` is (column, row).
     """
     if normal is None:
         cover = float(p[2]) - depth_mm[pixel[1], pixel[0]] / 1000.0
-        return int(labels[pixel[1], pixel[0]]) in point.labels and cover <= JOINT_COVER
+        return int(labels[pixel[1], pixel[0]]) in point.labels and cover <= JOINT_COVER_RADIUS
     facing = float(normal @ p)
     if facing >= 0.0:
         return False
@@ -160,13 +160,13 @@ def is_visible(
         for u in range(max(0, pixel[0] - reach), min(width, pixel[0] + reach + 1)):
             if int(labels[v, u]) not in point.labels:
                 continue
-            ray = np.array([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], 1.0])
+            ray = lens.rays((u, v))[0]
             if abs(facing / float(normal @ ray) - depth_mm[v, u] / 1000.0) <= DEPTH_TOLERANCE:
                 return True
     return False
 
 
-_NEIGHBOURS = tuple((u, v) for v in (-1, 0, 1) for u in (-1, 0, 1))  # px, a pixel and its eight neighbours
+_PIXEL_NEIGHBOURS = tuple((u, v) for v in (-1, 0, 1) for u in (-1, 0, 1))  # px, a pixel and its eight neighbours
 
 
 @dataclass(frozen=True)
@@ -187,23 +187,28 @@ class ClothVisibility:
 
 
 def measure_cloth_visibility(
-    cloth: LabelledCloth, qpos: Array, T_world_in_cam: Array, K: Array, labels: Image, depth_mm: NDArray[np.uint16]
+    cloth: LabelledCloth,
+    qpos: Array,
+    T_world_in_cam: Array,
+    lens: Intrinsics,
+    labels: Image,
+    depth_mm: NDArray[np.uint16],
 ) -> ClothVisibility:
     """Return the visibility of a cloth at MuJoCo's positions `qpos` (nq,), in labels and depths (height, width)."""
     points = cloth.scene.points(qpos) @ T_world_in_cam[:3, :3].T + T_world_in_cam[:3, 3]
-    visible = _visible_points(points, cloth, K, labels, depth_mm)
+    visible = _visible_points(points, cloth, lens, labels, depth_mm)
     numbers = np.array(list(cloth.corner_point_indices.values()))
     corners = points[numbers]
     before = corners[:, 2] >= _MIN_DEPTH
     places, depths = np.zeros((len(corners), 2)), np.zeros(len(corners))
-    places[before], depths[before] = project_points(K, corners[before]), corners[before, 2]
+    places[before], depths[before] = lens.project(corners[before]), corners[before, 2]
     height, width = labels.shape
     inside = before & (np.rint(places) >= 0).all(axis=1) & (np.rint(places) < (width, height)).all(axis=1)
     shown = np.where(visible[numbers], Visibility.VISIBLE, Visibility.HIDDEN)
     return ClothVisibility(visible, places, depths, np.where(inside, shown, Visibility.OUTSIDE).astype(np.uint8))
 
 
-def rendered_sides(points: Array, corners: NDArray[np.int_], radius: float) -> tuple[Array, Array]:
+def rendered_cloth_sides(points: Array, corners: NDArray[np.int_], radius: float) -> tuple[Array, Array]:
     """Return the points (n, 3) of the upper and the lower side of a cloth as MuJoCo draws them, m.
 
     Each point is displaced by `radius`, half the thickness, along the mean unit normal of its triangles (m, 3).
@@ -218,7 +223,7 @@ def rendered_sides(points: Array, corners: NDArray[np.int_], radius: float) -> t
 
 
 def _visible_points(
-    points: Array, cloth: LabelledCloth, K: Array, labels: Image, depth_mm: NDArray[np.uint16]
+    points: Array, cloth: LabelledCloth, lens: Intrinsics, labels: Image, depth_mm: NDArray[np.uint16]
 ) -> NDArray[np.bool_]:
     """Return whether each point (n, 3) of a cloth, in the camera's frame, m, is visible, as (n,).
 
@@ -229,7 +234,9 @@ def _visible_points(
     number = np.arange(len(points))
     rim = np.isin(number % columns, (0, columns - 1)) | np.isin(number // columns, (0, rows - 1))
     visible = np.zeros(len(points), bool)
-    for side, facing in zip(rendered_sides(points, corners, cloth.scene.half_thickness), (1.0, -1.0), strict=True):
+    for side, facing in zip(
+        rendered_cloth_sides(points, corners, cloth.scene.half_thickness), (1.0, -1.0), strict=True
+    ):
         a, b, c = (side[corners[:, k]] for k in range(3))
         normals = facing * np.cross(b - a, c - a)
         # Scaled distance of each triangle's plane from the camera, below 0 for a triangle that faces the camera.
@@ -237,14 +244,14 @@ def _visible_points(
         faces, ends = np.repeat(np.flatnonzero(offsets < 0), 3), corners[offsets < 0].ravel()
         before = side[ends, 2] >= _MIN_DEPTH
         faces, ends = faces[before], ends[before]
-        at = np.rint(project_points(K, side[ends])).astype(np.int64)
-        for beside in _NEIGHBOURS:
+        at = np.rint(lens.project(side[ends])).astype(np.int64)
+        for beside in _PIXEL_NEIGHBOURS:
             u, v = (at + beside).T
             counts = (u >= 0) & (v >= 0) & (u < labels.shape[1]) & (v < labels.shape[0])
             if any(beside):
                 counts &= rim[ends]
             u, v, face = u[counts], v[counts], faces[counts]
-            rays = np.column_stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(len(u))])
+            rays = lens.rays(np.column_stack([u, v]))
             slant = np.einsum("ij,ij->i", normals[face], rays)
             apart = np.abs(offsets[face] - depth_mm[v, u] / 1000.0 * slant)
             shown = (labels[v, u] == cloth.label) & (apart <= DEPTH_TOLERANCE * np.abs(slant))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .opengl import OpenGlFunctions, address, floats
+from .shadow_shaders import ShadowShaders, TextureKind
 
 _TYPE = mujoco.mjtGeom
 # Primitives with texture coordinates.
@@ -41,7 +42,7 @@ class Builtin(IntEnum):
     BOX = 6
 
 
-class Mode(IntEnum):
+class DrawMode(IntEnum):
     """What a display list draws."""
 
     LIT = 0  # with material, texture and emission
@@ -50,42 +51,51 @@ class Mode(IntEnum):
 
 
 class GeomDisplayLists:
-    """Three display lists for each geom of a scene, one for each `Mode`, in the geom's frame.
+    """Three display lists for each geom of a scene, one for each `DrawMode`, in the geom's frame.
 
     Flexes (cloths) have lists with their material alone, because their shape changes.
 
     Args:
         gl: OpenGL functions. The context `context` must be current here and in all methods.
         geoms: the geoms of an updated `MjvScene`.
+        shaders: programs for the lists of `Mode.LIT`.
     """
 
-    def __init__(self, gl: OpenGlFunctions, context: mujoco.MjrContext, geoms: Sequence[mujoco.MjvGeom]) -> None:
+    def __init__(
+        self,
+        gl: OpenGlFunctions,
+        context: mujoco.MjrContext,
+        geoms: Sequence[mujoco.MjvGeom],
+        shaders: ShadowShaders | None = None,
+    ) -> None:
         from OpenGL import GL
 
-        self._gl, self._constants, self._context = gl, GL, context
-        self._count = len(Mode) * len(geoms)
+        self._gl, self._constants, self._context, self._shaders = gl, GL, context, shaders
+        self._count = len(DrawMode) * len(geoms)
         self._first: int = gl.glGenLists(self._count)
         for number, geom in enumerate(geoms):
-            for mode in Mode:
-                gl.glNewList(self.name(number, mode), GL.GL_COMPILE)
+            for mode in DrawMode:
+                gl.glNewList(self.list_id(number, mode), GL.GL_COMPILE)
                 self._draw(geom, mode)
                 gl.glEndList()
 
-    def name(self, geom: int, mode: Mode) -> int:
+    def list_id(self, geom: int, mode: DrawMode) -> int:
         """Return OpenGL's name of a display list. `geom` is an index in the geoms of the scene."""
-        return self._first + len(Mode) * geom + mode
+        return self._first + len(DrawMode) * geom + mode
 
     def free(self) -> None:
         """Delete the lists."""
         self._gl.glDeleteLists(self._first, self._count)
 
-    def _draw(self, geom: mujoco.MjvGeom, mode: Mode) -> None:
-        if mode is Mode.SHAPE:
+    def _draw(self, geom: mujoco.MjvGeom, mode: DrawMode) -> None:
+        if mode is DrawMode.SHAPE:
             self._draw_shape(geom)
             return
         texture = _Texture(self._context, geom) if geom.matid >= 0 else None
         if texture is not None:
             self._map_texture(texture)
+        if self._shaders is not None:
+            self._gl.glUseProgram(self._shaders.names[texture.kind if texture else TextureKind.NONE])
         self._set_material(geom, mode)
         if geom.type == _TYPE.mjGEOM_FLEX:
             return  # `end_flex` disables the texture
@@ -93,11 +103,11 @@ class GeomDisplayLists:
         if texture is not None:
             self._unmap_texture(texture)
 
-    def _set_material(self, geom: mujoco.MjvGeom, mode: Mode) -> None:
+    def _set_material(self, geom: mujoco.MjvGeom, mode: DrawMode) -> None:
         gl, GL = self._gl, self._constants
         rgba, both = np.array(geom.rgba, np.float32), GL.GL_FRONT_AND_BACK
         emission = floats(0, 0, 0, 1)
-        if mode is Mode.LIT:
+        if mode is DrawMode.LIT:
             emission[:3] = np.float32(geom.emission) * rgba[:3]
         gl.glMaterialfv(both, GL.GL_EMISSION, address(emission))
         gl.glColor4f(*rgba)
@@ -140,7 +150,7 @@ class GeomDisplayLists:
         if texture.number < 0:
             return
         gl.glActiveTexture(GL.GL_TEXTURE0)
-        for state in texture.states(GL):
+        for state in texture.opengl_states(GL):
             gl.glEnable(state)
         gl.glBindTexture(GL.GL_TEXTURE_2D if texture.is_2d else GL.GL_TEXTURE_CUBE_MAP, texture.name)
         if texture.has_coordinates:
@@ -157,7 +167,7 @@ class GeomDisplayLists:
     def _unmap_texture(self, texture: _Texture) -> None:
         gl, GL = self._gl, self._constants
         gl.glActiveTexture(GL.GL_TEXTURE0)
-        for state in texture.states(GL):
+        for state in texture.opengl_states(GL):
             gl.glDisable(state)
         if texture.has_coordinates:
             gl.glMatrixMode(GL.GL_TEXTURE)
@@ -196,7 +206,16 @@ class _Texture:
         self.is_2d = flat or self.has_coordinates
         self.is_infinite_plane = geom.type == _TYPE.mjGEOM_PLANE and not self._size[:2].all()
 
-    def states(self, GL: Any) -> tuple[Any, ...]:
+    @property
+    def kind(self) -> TextureKind:
+        """How a program finds the texture's colour."""
+        if self.number < 0:
+            return TextureKind.NONE
+        if self.has_coordinates:
+            return TextureKind.COORDINATES
+        return TextureKind.FLAT if self.is_2d else TextureKind.CUBE
+
+    def opengl_states(self, GL: Any) -> tuple[Any, ...]:
         """Return OpenGL's states that must be enabled while the geom is drawn."""
         if self.has_coordinates:
             return (GL.GL_TEXTURE_2D,)

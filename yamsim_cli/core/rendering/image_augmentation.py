@@ -11,8 +11,8 @@ from ..config.variation import RandomizationSample
 from ..images.image import Image
 from ..scene.random_streams import Stream, random_generator
 
-_GREY = 127.5  # 0 to 255, grey level that a change of contrast leaves unchanged
-_EXTRA = 4  # sampled noise exceeds an image by 1/4 of its values, so that each image uses another part
+_CONTRAST_PIVOT = 127.5  # 0 to 255, grey level that a change of contrast leaves unchanged
+_NOISE_MARGIN_DIVISOR = 4  # sampled noise exceeds an image by 1/4 of its values, so that each image uses another part
 
 
 class ImageAugmenter:
@@ -44,18 +44,18 @@ class ImageAugmenter:
         contrast = float(rng.uniform(*self._ranges.contrast))
         if brightness == 0.0 and contrast == 1.0:
             return
-        cv2.addWeighted(image, contrast, image, 0.0, _GREY * (1.0 - contrast) + brightness, image)
+        cv2.addWeighted(image, contrast, image, 0.0, _CONTRAST_PIVOT * (1.0 - contrast) + brightness, image)
 
     def _apply_noise(self, image: Image, rng: np.random.Generator) -> None:
         if self._noise_parts is None:
             sigma = np.float32(self._variation.noise)
             normal = random_generator(self._job, Stream.NOISE, 0).standard_normal(
-                self._values + self._values // _EXTRA, np.float32
+                self._values + self._values // _NOISE_MARGIN_DIVISOR, np.float32
             )
             noise = np.clip(np.rint(normal * sigma), -127, 127).astype(np.int16)
             # Positive and negative parts: adding and subtracting uint8 arrays is six times as fast.
             self._noise_parts = np.maximum(noise, 0).astype(np.uint8), np.maximum(-noise, 0).astype(np.uint8)
-        start = int(rng.integers(self._values // _EXTRA))
+        start = int(rng.integers(self._values // _NOISE_MARGIN_DIVISOR))
         raised, lowered = (part[start : start + self._values].reshape(image.shape) for part in self._noise_parts)
         cv2.add(image, raised, image)
         cv2.subtract(image, lowered, image)

@@ -16,23 +16,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.se3 import Array, pose
-from .geom_display_lists import Builtin, GeomDisplayLists, Mode
+from .geom_display_lists import Builtin, DrawMode, GeomDisplayLists
 from .opengl import OpenGlFunctions, address, floats
-from .pixel_boxes import Box, Projection, ShadowTable, ShadowVolumes, box_corners, overlaps, union
+from .pixel_boxes import PixelBox, Projection, ShadowTable, ShadowVolumes, box_corners, overlaps, union
+from .shadow_shaders import ShadowShaders
 
 _Floats = NDArray[np.float32]
 GEOM, FLEX = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtObj.mjOBJ_FLEX)
 SHADOW, _SKYBOX = int(mujoco.mjtRndFlag.mjRND_SHADOW), int(mujoco.mjtRndFlag.mjRND_SKYBOX)
 _REFLECTION = int(mujoco.mjtRndFlag.mjRND_REFLECTION)
-_EFFECTS = ("FOG", "WIREFRAME", "ADDITIVE", "SEGMENT")  # of MuJoCo's renderer, which this one lacks
-_OTHER_EFFECTS = [int(getattr(mujoco.mjtRndFlag, f"mjRND_{name}")) for name in _EFFECTS]
+_UNSUPPORTED_EFFECTS = ("FOG", "WIREFRAME", "ADDITIVE", "SEGMENT")  # of MuJoCo's renderer, which this one lacks
+_UNSUPPORTED_FLAGS = [int(getattr(mujoco.mjtRndFlag, f"mjRND_{name}")) for name in _UNSUPPORTED_EFFECTS]
 _PLANE, _BOX = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_BOX)
-_DIRECTIONAL = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+_DIRECTIONAL_LIGHT = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
 _DRAWN_TYPES = {
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}"))
     for name in ("PLANE", "SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX", "MESH", "SDF", "FLEX")
 }
-_UPRIGHT = 0.999  # least vertical part of a plane's normal; shadows end on the lowest plane
+_MIN_UPWARD_NORMAL = 0.999  # least vertical part of a plane's normal; shadows end on the lowest plane
 _OPAQUE = 0.995  # smallest alpha of a geom that MuJoCo draws as opaque
 _POLYGON_OFFSET = (-1.5, -4.0)  # factor and units that MuJoCo uses for shadow maps
 _SKY_DISTANCE = np.float32(0.70)  # distance of the sky from the camera, as a fraction of the far clipping distance
@@ -63,7 +64,7 @@ class _View:
 
     camera: bytes
     poses: _Poses
-    corners: Array
+    box_corners: Array
 
 
 @dataclass
@@ -73,10 +74,10 @@ class _Layout:
     ids: NDArray[np.int_]  # (n,), id of each geom, or of the flex of a cloth
     geoms: NDArray[np.int_]  # (n,), the same, but 0 for cloths
     is_flex: NDArray[np.bool_]  # (n,), whether a geom is a cloth
-    casts: NDArray[np.bool_]  # (n,), whether a geom casts a shadow
-    unbounded: NDArray[np.bool_]  # (n,), whether a geom is a plane
+    casts_shadow: NDArray[np.bool_]  # (n,), whether a geom casts a shadow
+    is_plane: NDArray[np.bool_]  # (n,), whether a geom is a plane
     aabb: Array  # (n, 6), m, bounding box in the geom's frame; without meaning for cloths
-    tables: NDArray[np.int_]  # indices of standing boxes that cast shadows
+    shadow_tables: NDArray[np.int_]  # indices of standing boxes that cast shadows
     light: int | None  # index of the light that casts shadows
 
 
@@ -87,6 +88,7 @@ class IncrementalRenderer:
         model: the scene's model.
         scene, context: MuJoCo's scene and context; the context must be current in all methods.
         size: width and height of drawn images, px.
+        smooth: whether to filter the edges of shadows, in which pixels then differ from `mjr_render`.
 
     Raises:
         AttributeError: the platform's OpenGL library lacks a function.
@@ -94,7 +96,12 @@ class IncrementalRenderer:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, scene: mujoco.MjvScene, context: mujoco.MjrContext, size: tuple[int, int]
+        self,
+        model: mujoco.MjModel,
+        scene: mujoco.MjvScene,
+        context: mujoco.MjrContext,
+        size: tuple[int, int],
+        smooth: bool = False,
     ) -> None:
         from OpenGL import GL
 
@@ -102,6 +109,8 @@ class IncrementalRenderer:
         if b"GL_ARB_clip_control" not in (GL.glGetString(GL.GL_EXTENSIONS) or b""):
             raise RuntimeError("OpenGL lacks GL_ARB_clip_control")
         self._model, self._scene, self._context, self._size = model, scene, context, size
+        self._smooth = smooth
+        self._shaders: ShadowShaders | None = None
         self._lists: GeomDisplayLists | None = None
         self._layout: _Layout | None = None
         self._appearance = b""
@@ -109,12 +118,12 @@ class IncrementalRenderer:
         self._shadow_view: _View | None = None  # what the shadow map shows
         self._shadow_matrix = np.empty((4, 4), np.float32)
 
-    def forget(self) -> None:
+    def invalidate(self) -> None:
         """Draw everything again at the next call, for example after a texture has changed."""
         self._views.clear()
         self._shadow_view = None
 
-    def draw(self, data: mujoco.MjData, camera: str) -> Box | None:
+    def draw(self, data: mujoco.MjData, camera: str) -> PixelBox | None:
         """Draw the changed part of the image of a camera into the offscreen buffer.
 
         The scene must have been updated with `data` and this camera, and its frustum must have a width.
@@ -126,30 +135,30 @@ class IncrementalRenderer:
         try:
             return self._draw_changes(data, camera)
         except BaseException:
-            self.forget()
+            self.invalidate()
             self._appearance, self._layout = b"", None
             raise
 
-    def _draw_changes(self, data: mujoco.MjData, camera: str) -> Box | None:
+    def _draw_changes(self, data: mujoco.MjData, camera: str) -> PixelBox | None:
         appearance = self._read_appearance()
         if appearance != self._appearance or (self._layout is not None and len(self._layout.ids) != self._scene.ngeom):
-            self.forget()
+            self.invalidate()
             self._appearance, self._layout = appearance, self._read_layout()
             if self._layout is not None:
                 self._set_up_image()  # the shadow map relies on the depth function, clear depth and clip control
         if self._layout is None or self._sees_back_of_plane(data):
-            self.forget()
+            self.invalidate()
             return None
         poses = self._poses(data)
         view = _View(self._camera_pose(), poses, self._corners(poses))
         light = self._layout.light
         projection = self._image_projection()
-        boxes, bounded = projection.boxes(view.corners)
-        box = self._changed_box(self._views.get(camera), view, projection, boxes, light)
+        boxes, bounded = projection.boxes(view.box_corners)
+        box = self._changed_pixel_box(self._views.get(camera), view, projection, boxes, light)
         if not box.is_empty:
             if light is not None:
                 self._update_shadow_map(light, view)
-            drawn = np.flatnonzero(overlaps(boxes, box) | ~bounded | self._layout.unbounded)
+            drawn = np.flatnonzero(overlaps(boxes, box) | ~bounded | self._layout.is_plane)
             self._draw_image(view, box, drawn, light)
         self._views[camera] = view
         return box
@@ -171,7 +180,6 @@ class IncrementalRenderer:
             self._lists = None
         if not self._is_supported(geoms):
             return None
-        self._lists = GeomDisplayLists(self._gl, self._context, geoms)
         ids = np.array([geom.objid for geom in geoms], np.int_)
         is_flex = np.array([geom.objtype == FLEX for geom in geoms], np.bool_)
         decoration = int(mujoco.mjtCatBit.mjCAT_DECOR)
@@ -183,17 +191,26 @@ class IncrementalRenderer:
         shadows = scene.flags[SHADOW] and self._context.shadowFBO
         light = next((k for k in range(scene.nlight) if shadows and scene.lights[k].castshadow), None)
         aabb = model.geom_aabb[geom_ids]
+        if self._shaders is not None:
+            self._shaders.free()
+            self._shaders = None
+        if self._smooth and light is not None:
+            try:
+                self._shaders = ShadowShaders(self._gl, scene.nlight, light, self._context.shadowSize)
+            except RuntimeError:  # OpenGL cannot link the programs
+                return None
+        self._lists = GeomDisplayLists(self._gl, self._context, geoms, self._shaders)
         return _Layout(ids, geom_ids, is_flex, casts, planes, aabb, np.flatnonzero(boxes), light)
 
     def _is_supported(self, geoms: Sequence[mujoco.MjvGeom]) -> bool:
         scene = self._scene
         lights = scene.lights[: scene.nlight]
         if (
-            scene.flags[_OTHER_EFFECTS].any()
+            scene.flags[_UNSUPPORTED_FLAGS].any()
             or self._context.offSamples
             or scene.nskin
             or sum(bool(light.castshadow) for light in lights) > 1
-            or any(light.type != _DIRECTIONAL for light in lights)
+            or any(light.type != _DIRECTIONAL_LIGHT for light in lights)
             or (scene.nflex and (scene.flexvertopt or scene.flexedgeopt) and not scene.flexskinopt)
         ):
             return False
@@ -203,14 +220,14 @@ class IncrementalRenderer:
             and geom.rgba[3] >= _OPAQUE
             and not (geom.reflectance > 0 and scene.flags[_REFLECTION])
             and not geom.label
-            and (geom.type != _PLANE or (geom.size[:2].all() and geom.mat[2, 2] > _UPRIGHT))
+            and (geom.type != _PLANE or (geom.size[:2].all() and geom.mat[2, 2] > _MIN_UPWARD_NORMAL))
             for geom in geoms
         )
 
     def _sees_back_of_plane(self, data: mujoco.MjData) -> bool:
         """Return whether the camera is behind a plane, which MuJoCo then draws transparent."""
         assert self._layout is not None
-        ids = self._layout.ids[self._layout.unbounded]
+        ids = self._layout.ids[self._layout.is_plane]
         head = np.array(self._camera().pos, np.float64)
         normals = data.geom_xmat[ids].reshape(-1, 3, 3)[:, :, 2]
         return bool((((head - data.geom_xpos[ids]) * normals).sum(axis=1) < 1e-6).any())
@@ -249,12 +266,17 @@ class IncrementalRenderer:
         """Return the camera between the two eyes, which `mjr_render` draws."""
         return mujoco.mjv_averageCamera(*self._scene.camera)
 
-    def _image_projection(self) -> Projection:
+    def _camera_matrix(self) -> Array:
+        """Return the matrix (4, 4) from `world` to the camera's frame, in OpenGL's convention."""
         view = self._camera()
         forward, up = np.array(view.forward, np.float64), np.array(view.up, np.float64)
         R = np.array([np.cross(forward, up), up, -forward])
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R, -R @ np.array(view.pos, np.float64)
+        return T
+
+    def _image_projection(self) -> Projection:
+        view, T = self._camera(), self._camera_matrix()
         half_height = (view.frustum_top - view.frustum_bottom) / 2
         middle = (view.frustum_top + view.frustum_bottom) / 2
         near = view.frustum_near
@@ -268,30 +290,30 @@ class IncrementalRenderer:
         )
         return Projection(lens @ T, 0, self._size, self._size, _IMAGE_MARGIN)
 
-    def _changed_box(
+    def _changed_pixel_box(
         self, before: _View | None, view: _View, projection: Projection, boxes: NDArray[np.int_], light: int | None
-    ) -> Box:
+    ) -> PixelBox:
         """Return the pixels in which a geom or a shadow has moved since the last image of the camera."""
-        everything = Box(0, 0, *self._size)
+        everything = PixelBox(0, 0, *self._size)
         if before is None or before.camera != view.camera or (before.poses.lights != view.poses.lights).any():
             return everything
-        changed = self._changed(before, view)
+        changed = self._moved_geoms(before, view)
         if not changed.any():
-            return Box(0, 0, 0, 0)
+            return PixelBox(0, 0, 0, 0)
         assert self._layout is not None
-        if (changed & self._layout.unbounded).any():
+        if (changed & self._layout.is_plane).any():
             return everything
-        found = [boxes[changed], projection.boxes(before.corners[changed])[0]]
-        casting = changed & self._layout.casts
+        found = [boxes[changed], projection.boxes(before.box_corners[changed])[0]]
+        casting = changed & self._layout.casts_shadow
         if light is not None and casting.any():
             volumes = self._shadow_volumes(light, view)
             if not volumes.is_bounded:
                 return everything
-            corners = np.concatenate([before.corners[casting], view.corners[casting]])
-            found.append(projection.boxes(volumes.corners(corners))[0])
+            corners = np.concatenate([before.box_corners[casting], view.box_corners[casting]])
+            found.append(projection.boxes(volumes.hull_points(corners))[0])
         return union(np.concatenate(found))
 
-    def _changed(self, before: _View, view: _View) -> NDArray[np.bool_]:
+    def _moved_geoms(self, before: _View, view: _View) -> NDArray[np.bool_]:
         """Return whether each geom has moved (n,)."""
         assert self._layout is not None
         old, new = before.poses, view.poses
@@ -301,14 +323,14 @@ class IncrementalRenderer:
     def _shadow_volumes(self, light: int, view: _View) -> ShadowVolumes:
         assert self._layout is not None
         texel = 2 * self._context.shadowClip / self._context.shadowSize
-        bounded = view.corners[~self._layout.unbounded][..., 2]
-        lowest = min([float(bounded.min(initial=0)), *view.poses.positions[self._layout.unbounded, 2].tolist()])
+        bounded = view.box_corners[~self._layout.is_plane][..., 2]
+        lowest = min([float(bounded.min(initial=0)), *view.poses.positions[self._layout.is_plane, 2].tolist()])
         tables = tuple(
             ShadowTable(
                 pose(view.poses.positions[k], view.poses.matrices[k, :3, :3].T.astype(np.float64)),
                 self._layout.aabb[k, 3:],
             )
-            for k in self._layout.tables
+            for k in self._layout.shadow_tables
         )
         direction = np.array(self._scene.lights[light].dir, np.float64)
         return ShadowVolumes(direction / np.linalg.norm(direction), lowest, tables, _SHADOW_MARGIN * texel)
@@ -322,11 +344,11 @@ class IncrementalRenderer:
         # Columns of OpenGL's matrices are rows of NumPy's.
         matrix = projection.reshape(4, 4).T.astype(np.float64) @ modelview.reshape(4, 4).T
         texels = Projection(matrix, 1, (side - 2, side - 2), (side, side), _SHADOW_MARGIN)
-        boxes, _ = texels.boxes(view.corners)
-        before, box = self._shadow_view, Box(0, 0, side, side)
+        boxes, _ = texels.boxes(view.box_corners)
+        before, box = self._shadow_view, PixelBox(0, 0, side, side)
         if before is not None and (before.poses.lights == view.poses.lights).all():
-            changed = self._changed(before, view) & self._layout.casts
-            box = union(np.concatenate([boxes[changed], texels.boxes(before.corners[changed])[0]]))
+            changed = self._moved_geoms(before, view) & self._layout.casts_shadow
+            box = union(np.concatenate([boxes[changed], texels.boxes(before.box_corners[changed])[0]]))
         self._shadow_view = view
         self._shadow_matrix = _texture_matrix(projection, modelview)
         if box.is_empty:
@@ -345,7 +367,9 @@ class IncrementalRenderer:
         gl.glEnable(GL.GL_POLYGON_OFFSET_FILL)
         gl.glPolygonOffset(*_POLYGON_OFFSET)
         self._draw_geoms(
-            view, np.flatnonzero((overlaps(boxes, box) | self._layout.unbounded) & self._layout.casts), Mode.SHAPE
+            view,
+            np.flatnonzero((overlaps(boxes, box) | self._layout.is_plane) & self._layout.casts_shadow),
+            DrawMode.SHAPE,
         )
         gl.glDisable(GL.GL_POLYGON_OFFSET_FILL)
         gl.glDisable(GL.GL_SCISSOR_TEST)
@@ -374,7 +398,7 @@ class IncrementalRenderer:
         gl.glGetFloatv(GL.GL_MODELVIEW_MATRIX, address(modelview))
         return projection, modelview
 
-    def _draw_image(self, view: _View, box: Box, drawn: NDArray[np.int_], light: int | None) -> None:
+    def _draw_image(self, view: _View, box: PixelBox, drawn: NDArray[np.int_], light: int | None) -> None:
         """Draw the geoms `drawn` and the sky into a rectangle of the image. `light` is the light that casts shadows."""
         gl, GL = self._gl, self._constants
         self._set_up_image()
@@ -382,17 +406,29 @@ class IncrementalRenderer:
         gl.glEnable(GL.GL_SCISSOR_TEST)
         gl.glScissor(*box)
         gl.glClear(GL.GL_COLOR_BUFFER_BIT | GL.GL_DEPTH_BUFFER_BIT)
+        if self._shaders is not None:
+            gl.glActiveTexture(GL.GL_TEXTURE1)
+            gl.glBindTexture(GL.GL_TEXTURE_2D, self._context.shadowTex)
+            self._shaders.use((self._shadow_matrix @ np.linalg.inv(self._camera_matrix())).astype(np.float32))
+            self._draw_geoms(view, drawn, DrawMode.LIT)
+            gl.glUseProgram(0)
+        else:
+            self._draw_lights(view, drawn, light)
+        if self._scene.flags[_SKYBOX]:
+            self._draw_sky()
+        gl.glDisable(GL.GL_SCISSOR_TEST)
+
+    def _draw_lights(self, view: _View, drawn: NDArray[np.int_], light: int | None) -> None:
+        """Draw geoms as `mjr_render` does: with the lights without shadows, then with the one that casts shadows."""
+        gl, GL = self._gl, self._constants
         lights = [GL.GL_LIGHT0 + k for k in range(self._scene.nlight) if k != light]
         for number in lights:
             gl.glEnable(number)
-        self._draw_geoms(view, drawn, Mode.LIT)
+        self._draw_geoms(view, drawn, DrawMode.LIT)
         for number in lights:
             gl.glDisable(number)
         if light is not None:
             self._add_shadow_light(view, drawn, GL.GL_LIGHT0 + light)
-        if self._scene.flags[_SKYBOX]:
-            self._draw_sky()
-        gl.glDisable(GL.GL_SCISSOR_TEST)
 
     def _set_up_image(self) -> None:
         """Let `mjr_render` set OpenGL's matrices, lights and states, by drawing no geom into one pixel."""
@@ -419,7 +455,7 @@ class IncrementalRenderer:
         for state in (GL.GL_ALPHA_TEST, GL.GL_BLEND, light):
             gl.glEnable(state)
         gl.glBlendFunc(GL.GL_ONE, GL.GL_ONE)
-        self._draw_geoms(view, drawn, Mode.SHADOW_LIGHT)
+        self._draw_geoms(view, drawn, DrawMode.SHADOW_LIGHT)
         for state in (light, GL.GL_BLEND, GL.GL_ALPHA_TEST):
             gl.glDisable(state)
         gl.glActiveTexture(GL.GL_TEXTURE1)
@@ -457,7 +493,7 @@ class IncrementalRenderer:
         gl.glEnable(GL.GL_COLOR_MATERIAL)
         gl.glCullFace(GL.GL_BACK)
 
-    def _draw_geoms(self, view: _View, geoms: NDArray[np.int_], mode: Mode) -> None:
+    def _draw_geoms(self, view: _View, geoms: NDArray[np.int_], mode: DrawMode) -> None:
         assert self._lists is not None and self._layout is not None
         gl, matrices = self._gl, address(view.poses.matrices)
         stride = view.poses.matrices.strides[0]
@@ -468,16 +504,16 @@ class IncrementalRenderer:
             gl.glPushMatrix()
             gl.glTranslatef(*position)
             gl.glMultMatrixf(matrices + stride * geom)
-            gl.glCallList(self._lists.name(geom, mode))
+            gl.glCallList(self._lists.list_id(geom, mode))
             gl.glPopMatrix()
 
-    def _draw_flex(self, number: int, mode: Mode) -> None:
+    def _draw_flex(self, number: int, mode: DrawMode) -> None:
         """Draw the faces of a cloth."""
         assert self._lists is not None
         gl, GL, scene = self._gl, self._constants, self._scene
         geom = scene.geoms[number]
         faces, first = int(scene.flexfaceused[geom.objid]), int(scene.flexfaceadr[geom.objid])
-        gl.glCallList(self._lists.name(number, mode))
+        gl.glCallList(self._lists.list_id(number, mode))
         textured = bool(geom.texcoord) and geom.matid >= 0
         arrays = [GL.GL_VERTEX_ARRAY, GL.GL_NORMAL_ARRAY] + [GL.GL_TEXTURE_COORD_ARRAY] * textured
         for array in arrays:
@@ -489,17 +525,17 @@ class IncrementalRenderer:
         gl.glDrawArrays(GL.GL_TRIANGLES, 0, 3 * faces)
         for array in arrays:
             gl.glDisableClientState(array)
-        if mode is not Mode.SHAPE:
+        if mode is not DrawMode.SHAPE:
             self._lists.end_flex(geom)
 
 
 def _texture_matrix(projection: _Floats, modelview: _Floats) -> _Floats:
     """Return the rows (4, 4) that map points in `world` to coordinates in the shadow map, as MuJoCo multiplies them."""
     bias = floats(0.5, 0, 0, 0, 0, 0.5, 0, 0, 0, 0, 1, 0, 0.5, 0.5, 0, 1)
-    return np.ascontiguousarray(_product(bias, _product(projection, modelview)).reshape(4, 4).T)
+    return np.ascontiguousarray(_multiply_matrices(bias, _multiply_matrices(projection, modelview)).reshape(4, 4).T)
 
 
-def _product(left: _Floats, right: _Floats) -> _Floats:
+def _multiply_matrices(left: _Floats, right: _Floats) -> _Floats:
     """Return the product (16,) of two matrices by columns (16,). Sums are in the order of MuJoCo's `mjr_mulMat44`."""
     a, b = left.reshape(4, 4).T, right.reshape(4, 4).T
     total = np.zeros((4, 4), np.float32)

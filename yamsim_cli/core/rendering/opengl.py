@@ -21,6 +21,8 @@ _ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "glEnable glEnableClientState glMatrixMode glShadeModel": (_ENUM,),
     "glBindFramebuffer glBindTexture glBlendFunc glNewList": (_ENUM, _ENUM),
     "glGenLists": (_INT,),
+    "glDeleteProgram glUseProgram": (_ENUM,),
+    "glUniformMatrix4fv": (_INT, _INT, _BOOL, _POINTER),
     "glDeleteLists": (_ENUM, _INT),
     "glDrawArrays": (_ENUM, _INT, _INT),
     "glScissor glViewport": (_INT,) * 4,

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from ..geometry.se3 import Array
 
-_SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))  # (8, 3), corners of a box
-_MIN_DESCENT = 0.05  # smallest downward part of a light's unit direction for which shadows are bounded
+_CORNER_SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))  # (8, 3), corners of a box
+_MIN_LIGHT_DESCENT = 0.05  # smallest downward part of a light's unit direction for which shadows are bounded
 
 
-class Box(NamedTuple):
+class PixelBox(NamedTuple):
     """A rectangle of pixels as for `glScissor`; the origin is the lower left corner."""
 
     left: int
@@ -36,7 +36,7 @@ def box_corners(aabb: Array, positions: Array, rotations: Array) -> Array:
         aabb: centre and half size (n, 6) of each box in the frame of its geom, as in `MjModel.geom_aabb`, m.
         positions, rotations: poses (n, 3) and (n, 3, 3) of the geoms in `world`.
     """
-    local = aabb[:, None, :3] + _SIGNS * aabb[:, None, 3:]
+    local = aabb[:, None, :3] + _CORNER_SIGNS * aabb[:, None, 3:]
     return np.asarray(local @ rotations.transpose(0, 2, 1) + positions[:, None])
 
 
@@ -77,17 +77,17 @@ class Projection:
         return found, bounded
 
 
-def union(boxes: NDArray[np.int_]) -> Box:
+def union(boxes: NDArray[np.int_]) -> PixelBox:
     """Return the smallest rectangle that contains rectangles (n, 4) of `Projection.boxes`."""
     boxes = boxes[(boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1])]
     if not len(boxes):
-        return Box(0, 0, 0, 0)
+        return PixelBox(0, 0, 0, 0)
     left, bottom = boxes[:, :2].min(axis=0)
     right, top = boxes[:, 2:].max(axis=0)
-    return Box(int(left), int(bottom), int(right - left), int(top - bottom))
+    return PixelBox(int(left), int(bottom), int(right - left), int(top - bottom))
 
 
-def overlaps(boxes: NDArray[np.int_], box: Box) -> NDArray[np.bool_]:
+def overlaps(boxes: NDArray[np.int_], box: PixelBox) -> NDArray[np.bool_]:
     """Return whether each rectangle (n, 4) of `Projection.boxes` shares a pixel with `box` (n,)."""
     right, top = box.left + box.width, box.bottom + box.height
     across = (boxes[:, 0] < right) & (boxes[:, 2] > box.left)
@@ -113,25 +113,25 @@ class ShadowVolumes:
 
     Attributes:
         direction: unit vector (3,) in which the light travels, in `world`.
-        lowest: height of the lowest surface of the scene, m.
+        lowest_plane: height of the lowest surface of the scene, m.
         tables: boxes that stop shadows.
         margin: growth of a geom on each side, m, for the texels of the shadow map.
     """
 
     direction: Array
-    lowest: float
+    lowest_plane: float
     tables: tuple[ShadowTable, ...]
     margin: float
 
     @property
     def is_bounded(self) -> bool:
         """Whether the light falls so steeply that shadows stay short."""
-        return bool(self.direction[2] < -_MIN_DESCENT)
+        return bool(self.direction[2] < -_MIN_LIGHT_DESCENT)
 
-    def corners(self, corners: Array) -> Array:
+    def hull_points(self, corners: Array) -> Array:
         """Return points (n, 128, 3) whose hull contains the shadows of boxes with the corners (n, 8, 3), m."""
-        grown = (corners[:, :, None] + self.margin * _SIGNS).reshape(len(corners), -1, 3)
-        reach = np.maximum(grown[..., 2] - self.lowest, 0) / -self.direction[2]
+        grown = (corners[:, :, None] + self.margin * _CORNER_SIGNS).reshape(len(corners), -1, 3)
+        reach = np.maximum(grown[..., 2] - self.lowest_plane, 0) / -self.direction[2]
         for table in self.tables:
             reach = np.minimum(reach, self._reach_of_table(table, grown))
         return np.concatenate([grown, grown + reach[..., None] * self.direction], axis=1)
@@ -140,7 +140,7 @@ class ShadowVolumes:
         """Return the distance (n, k) to the top of a table; infinite unless the whole shadow of a box falls on it."""
         R, p = table.T_in_world[:3, :3], table.T_in_world[:3, 3]
         local, direction = (corners - p) @ R, self.direction @ R
-        if direction[2] > -_MIN_DESCENT:
+        if direction[2] > -_MIN_LIGHT_DESCENT:
             return np.full(corners.shape[:2], np.inf)
         reach = (local[..., 2] - table.half_size[2]) / -direction[2]
         there = local + reach[..., None] * direction

@@ -25,7 +25,7 @@ from .software_renderers import is_software_renderer
 _opengl_pid: int | None = None
 
 
-def _note_opengl() -> None:
+def _note_opengl_before_fork() -> None:
     global _opengl_pid
     if _opengl_pid is None:
         _opengl_pid = os.getpid()
@@ -34,7 +34,7 @@ def _note_opengl() -> None:
 def _note_mujoco_renderer() -> None:
     """Before a fork, check whether MuJoCo's own renderer has used OpenGL: it then has an open EGL display."""
     if getattr(sys.modules.get("mujoco.egl"), "EGL_DISPLAY", None) is not None:
-        _note_opengl()
+        _note_opengl_before_fork()
 
 
 os.register_at_fork(before=_note_mujoco_renderer)
@@ -57,7 +57,7 @@ def _enter_opengl() -> None:
             'gymnasium.make_vec(..., vectorization_mode="async", vector_kwargs={"context": "forkserver"}), '
             "or render nothing before they are forked"
         )
-    _note_opengl()
+    _note_opengl_before_fork()
 
 
 GeomIds = NDArray[np.int32]
@@ -77,8 +77,8 @@ def _opengl_name() -> str:
     return name.decode() if name else "unknown"
 
 
-class _Contexts:
-    """A renderer's contexts. `free_contexts` makes OpenGL's current; MuJoCo would free objects of another one."""
+class _RenderContexts:
+    """A renderer's contexts. `free_contexts` first makes its own current: MuJoCo frees objects of the current one."""
 
     def __init__(self) -> None:
         self.gl: Any = None
@@ -107,6 +107,7 @@ class SceneRenderer(Closable):
         size: width and height of images, px.
         fine: width and height in which colour images are rendered before averaging to `size`; by default `size`.
         incremental: without a GPU, render only the changed part of a camera's image. The pixels are the same.
+        smooth_shadows: filter the edges of shadows, see `core.rendering.shadow_shaders`.
 
     Raises:
         ResourceError: OpenGL cannot create a context, or this process was forked from one that had used OpenGL. The
@@ -120,9 +121,10 @@ class SceneRenderer(Closable):
         fine: tuple[int, int] | None = None,
         *,
         incremental: bool = True,
+        smooth_shadows: bool = False,
     ) -> None:
         _enter_opengl()
-        self._contexts = _Contexts()
+        self._contexts = _RenderContexts()
         self._free = weakref.finalize(self, self._contexts.free_contexts)
         self._free.atexit = False
         self._model = model
@@ -145,13 +147,15 @@ class SceneRenderer(Closable):
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self.description = _opengl_name()
         # A GPU draws a whole image in less time than the changed part takes to be found.
-        incremental = incremental and is_software_renderer(self.description)
+        self._draws_changes = incremental and is_software_renderer(self.description)
         self._images: dict[str, Image] = {}
-        self._incremental = self._make_incremental_renderer(fine) if incremental else None
+        self._incremental = (
+            self._make_incremental_renderer(fine, smooth_shadows) if self._draws_changes or smooth_shadows else None
+        )
 
-    def _make_incremental_renderer(self, size: tuple[int, int]) -> IncrementalRenderer | None:
+    def _make_incremental_renderer(self, size: tuple[int, int], smooth: bool) -> IncrementalRenderer | None:
         try:
-            return IncrementalRenderer(self._model, self._scene, self._make_context_current(), size)
+            return IncrementalRenderer(self._model, self._scene, self._make_context_current(), size, smooth)
         except (AttributeError, RuntimeError):  # OpenGL lacks something
             return None
 
@@ -175,7 +179,7 @@ class SceneRenderer(Closable):
         """Copy the texture with the id `texture` to OpenGL again after its pixels have changed in the model."""
         mujoco.mjr_uploadTexture(self._model, self._make_context_current(), texture)
         if self._incremental:
-            self._incremental.forget()
+            self._incremental.invalidate()
 
     def render(self, data: mujoco.MjData, camera: str, out: Image | None = None) -> Image:
         """Render an RGB image (height, width, 3) of the scene in the state `data`, into `out` if given."""
@@ -255,6 +259,8 @@ class SceneRenderer(Closable):
         if camera not in self._images:
             self._images[camera] = np.empty_like(self._pixels)
         image = self._images[camera]
+        if not self._draws_changes:
+            self._incremental.invalidate()
         box = self._incremental.draw(data, camera)
         if box is None:
             return None
@@ -264,7 +270,7 @@ class SceneRenderer(Closable):
                 mujoco.mjr_readPixels(part, None, mujoco.MjrRect(*box), context)
                 image[box.bottom : box.bottom + box.height, box.left : box.left + box.width] = part
             except BaseException:
-                self._incremental.forget()
+                self._incremental.invalidate()
                 raise
         return image
 

@@ -76,17 +76,17 @@ class SceneLabels:
 
     Attributes:
         names: names of all labels, instances, links, objects and keypoints.
-        of_geom, of_flex: label of each geom (ngeom,) and flex (nflex,) in segmentation images.
-        instance_of: label -> index of its instance (a whole arm or object); -1 for the background.
+        label_of_geom, label_of_flex: label of each geom (ngeom,) and flex (nflex,) in segmentation images.
+        instance_of_label: label -> index of its instance (a whole arm or object); -1 for the background.
         links, objects: ids of the bodies whose poses are recorded.
         keypoints: keypoints that are fixed to a body. In `names`, the corners of cloths follow them.
         cloths: all cloths. Their poses follow from their points, because the body of a cloth never moves.
     """
 
     names: TruthLabels
-    of_geom: NDArray[np.uint8]
-    of_flex: NDArray[np.uint8]
-    instance_of: NDArray[np.int64]
+    label_of_geom: NDArray[np.uint8]
+    label_of_flex: NDArray[np.uint8]
+    instance_of_label: NDArray[np.int64]
     links: NDArray[np.int64]
     objects: NDArray[np.int64]
     keypoints: tuple[LabelledKeypoint, ...]
@@ -122,21 +122,21 @@ def make_scene_labels(
     names += [LabelRecord(id=number[b], name=model.body(b).name, instance=i) for b, i in bodies.items()]
     assert len(names) <= _MAX_LABELS, len(names)
 
-    of_geom = np.zeros(model.ngeom, np.uint8)
+    label_of_geom = np.zeros(model.ngeom, np.uint8)
     for geom in range(model.ngeom):
         name, body = model.geom(geom).name, int(model.geom_bodyid[geom])
         if body not in number:
             # A moving part has the label of its object.
             body = int(model.body_rootid[body])
-        of_geom[geom] = number.get(body, {"table": 1}.get(name, 2 if name.startswith("post_") else BACKGROUND))
+        label_of_geom[geom] = number.get(body, {"table": 1}.get(name, 2 if name.startswith("post_") else BACKGROUND))
     sheets = [
         LabelledCloth(name, number[body], list(others).index(body), cloths[name])
         for body, name in others.items()
         if cloths and name in cloths
     ]
-    of_flex = np.zeros(model.nflex, np.uint8)
+    label_of_flex = np.zeros(model.nflex, np.uint8)
     for sheet in sheets:
-        of_flex[sheet.scene.flex] = sheet.label
+        label_of_flex[sheet.scene.flex] = sheet.label
     instances = list(dict.fromkeys(label.instance for label in names[1:]))
     keypoints = (*_joint_keypoints(model, rig, number), *(_board_keypoints(model, rig, number) if boards else ()))
     return SceneLabels(
@@ -151,9 +151,9 @@ def make_scene_labels(
             ],
             cloths={sheet.name: sheet.scene.grid for sheet in sheets},
         ),
-        of_geom=of_geom,
-        of_flex=of_flex,
-        instance_of=np.array([-1, *(instances.index(label.instance) for label in names[1:])]),
+        label_of_geom=label_of_geom,
+        label_of_flex=label_of_flex,
+        instance_of_label=np.array([-1, *(instances.index(label.instance) for label in names[1:])]),
         links=np.array(list(links)),
         objects=np.array(list(others | printed), dtype=np.int64),
         keypoints=keypoints,
@@ -188,7 +188,7 @@ def _joint_keypoints(model: mujoco.MjModel, rig: RigConfig, number: dict[int, in
         yield LabelledKeypoint(centre, link, joint.pos.copy(), None, tuple(number[body] for body in pair))
         anchor, axis = data.xanchor[joint.id], data.xaxis[joint.id]
         for side, away in (("plus", axis), ("minus", -axis)):
-            hit = _first_hit(model, data, pair, anchor + _RAY_START * away, -away)
+            hit = _first_ray_hit(model, data, pair, anchor + _RAY_START * away, -away)
             if hit is None:
                 continue
             body, point, normal = hit
@@ -197,7 +197,7 @@ def _joint_keypoints(model: mujoco.MjModel, rig: RigConfig, number: dict[int, in
             yield LabelledKeypoint(record, body, R.T @ (point - data.xpos[body]), R.T @ normal, (number[body],))
 
 
-def _first_hit(
+def _first_ray_hit(
     model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int], start: Array, direction: Array
 ) -> tuple[int, Array, Array] | None:
     """Return the body, point and normal in `world` of a ray's first hit on visible geoms of bodies; None for a miss."""

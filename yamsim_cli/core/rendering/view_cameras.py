@@ -25,21 +25,21 @@ class RigView:
     Attributes:
         azimuth, elevation: viewing direction of the camera in MuJoCo's convention, degrees.
         fovy_deg: vertical field of view, degrees. With a narrow field the camera is far away, and the arms hide little.
-        low: whether the view shows boards and bases from nearby, instead of the whole rig.
+        is_low_view: whether the view shows boards and bases from nearby, instead of the whole rig.
     """
 
     name: str
     azimuth: float
     elevation: float
     fovy_deg: float = 40.0
-    low: bool = False
+    is_low_view: bool = False
 
 
 # At azimuth 180, the camera looks along -x, at the front of the arms. At negative elevations, it looks down.
-VIEWS = (
+RIG_VIEWS = (
     RigView("front", azimuth=155.0, elevation=-28.0),
     RigView("near_top", azimuth=180.0, elevation=-86.0, fovy_deg=12.0),
-    RigView("low_close_up", azimuth=125.0, elevation=-14.0, low=True),
+    RigView("low_close_up", azimuth=125.0, elevation=-14.0, is_low_view=True),
 )
 
 

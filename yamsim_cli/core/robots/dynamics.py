@@ -16,7 +16,7 @@ class JointDynamics(Config):
 
     Attributes:
         armature: rotor inertia of the motor at the joint, kg m2.
-        damping: passive damping in addition to that of the drive, N m s/rad.
+        damping: passive damping, added to the drive's damping, N m s/rad.
         frictionloss: Coulomb friction, N m.
         kp, kv: gains of the drive, N m/rad and N m s/rad.
         offset_rad: encoder reading while the drive holds the joint at 0.

@@ -12,7 +12,7 @@ from .finray.segment_chain import add_fingers, get_or_add_child
 from .models import ArmModel, Element, Gripper, GripperFit, JointChange, Mjcf, Placement, parse_root
 
 # Sections that are merged into the arm's MJCF, besides body and default classes.
-_SECTIONS = ("asset", "equality", "tendon", "contact", "actuator", "sensor")
+_MERGED_SECTIONS = ("asset", "equality", "tendon", "contact", "actuator", "sensor")
 # Only an arm may have these. A keyframe fits only one model, so keyframes are not allowed.
 _ARM_SECTIONS = ("option", "size", "visual", "statistic", "custom")
 
@@ -23,7 +23,7 @@ _FORBIDDEN_ELEMENTS = ("include", "plugin", "extension", "attach", "model", "hfi
 _SITES = ("pinch_site", "grasp_site")
 
 # Attributes outside `worldbody` that name a body.
-_BODY_KEYS = ("body", "body1", "body2")
+_BODY_ATTRIBUTES = ("body", "body1", "body2")
 
 # Field of `JointChange` or `JointDynamics` -> element and attribute in MJCF.
 _ATTRIBUTES = {
@@ -36,7 +36,7 @@ _ATTRIBUTES = {
     "torque": ("drive", "forcerange"),
 }
 _TIP_SITE = "pinch_site"  # of the additional mass `tip_mass_g` of identified dynamics
-_POINT_INERTIA = 1e-9  # kg m2, of a point mass: MuJoCo needs an inertia above 0
+_MIN_INERTIA = 1e-9  # kg m2, of a point mass: MuJoCo needs an inertia above 0
 
 
 def merge_gripper(arm: ArmModel, gripper: Gripper, fit: GripperFit) -> Element:
@@ -49,8 +49,8 @@ def merge_gripper(arm: ArmModel, gripper: Gripper, fit: GripperFit) -> Element:
         for foot in gripper.finray.feet:
             find_body(hand, foot, gripper.mjcf)
         add_fingers(hand, gripper.name, gripper.finray)
-    _check_sections(root, arm.mjcf, (*_SECTIONS, *_ARM_SECTIONS))
-    _check_sections(hand, gripper.mjcf, _SECTIONS)
+    _check_sections(root, arm.mjcf, (*_MERGED_SECTIONS, *_ARM_SECTIONS))
+    _check_sections(hand, gripper.mjcf, _MERGED_SECTIONS)
     if (ours := _merged_attributes(root, "compiler")) != (theirs := _merged_attributes(hand, "compiler")):
         raise ConfigError(f"{gripper.mjcf.file}: <compiler> has {theirs}, but {arm.mjcf.file} {ours}; make them equal")
     flange = find_body(root, arm.flange, arm.mjcf)
@@ -64,7 +64,7 @@ def merge_gripper(arm: ArmModel, gripper: Gripper, fit: GripperFit) -> Element:
     _add_assets(root, hand, arm.mjcf, gripper.mjcf)
     for one, other in fit.excludes:
         get_or_add_child(root, "contact").append(Element("exclude", {"body1": one, "body2": other}))
-    for section in _SECTIONS[1:]:
+    for section in _MERGED_SECTIONS[1:]:
         _append_section(root, hand, section)
     _change_joints(root, arm, fit.joints)
     return root
@@ -201,7 +201,7 @@ def _rename_body(hand: Element, name: str, new: str) -> None:
     for section in hand:
         if section.tag != "worldbody":
             for element in section.iter():
-                for key in _BODY_KEYS:
+                for key in _BODY_ATTRIBUTES:
                     if element.get(key) == name:
                         element.set(key, new)
 
@@ -286,7 +286,7 @@ def write_dynamics(root: Element, arm: ArmModel, gripper: Gripper, dynamics: Mea
         for site in parent.findall("site"):
             if site.get("name") == _TIP_SITE:
                 body = ElementTree.SubElement(parent, "body", {"name": "tip_mass", "pos": site.get("pos", "0 0 0")})
-                mass, inertia = format_numbers((dynamics.tip_mass_g / 1000,)), format_numbers([_POINT_INERTIA] * 3)
+                mass, inertia = format_numbers((dynamics.tip_mass_g / 1000,)), format_numbers([_MIN_INERTIA] * 3)
                 ElementTree.SubElement(body, "inertial", {"pos": "0 0 0", "mass": mass, "diaginertia": inertia})
                 return
     raise ConfigError(f"{gripper.mjcf.file}: has no site {_TIP_SITE!r}, which tip_mass_g needs")

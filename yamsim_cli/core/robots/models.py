@@ -38,7 +38,7 @@ from .finray.finger import FinRay
 Element = ElementTree.Element
 
 # For an included file that is not in the folder of the MJCF.
-_OUTSIDE_CODES = ("outside", "missing", "not-a-file")
+_MISSING_INCLUDE_CODES = ("outside", "missing", "not-a-file")
 
 Part = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_/-]+$")]
 _Range = Annotated[tuple[JointAngle, JointAngle], AfterValidator(require_ordered)]
@@ -59,7 +59,7 @@ class Mjcf(Config):
     includes: bool = False
 
 
-def _refuse_content(value: object) -> object:
+def _refuse_inline_mjcf(value: object) -> object:
     if isinstance(value, str):
         raise ValueError("give the name of a robot or gripper, not its content; put its folder into robot_models/")
     return value
@@ -67,7 +67,7 @@ def _refuse_content(value: object) -> object:
 
 MjcfFile = Annotated[
     Mjcf,
-    BeforeValidator(_refuse_content),
+    BeforeValidator(_refuse_inline_mjcf),
     PlainSerializer(lambda mjcf: mjcf.file, return_type=str, when_used="json"),
     WithJsonSchema({"type": "string"}),
 ]
@@ -187,7 +187,7 @@ def _read_mjcf(path: Path) -> dict[str, object]:
     try:
         root = expand_includes(data, ConfinedFolder(folder), folder, parse_root)
     except RefusedError as error:
-        mend = f"; an <include> names an MJCF below {path.parent}" if error.code in _OUTSIDE_CODES else ""
+        mend = f"; an <include> names an MJCF below {path.parent}" if error.code in _MISSING_INCLUDE_CODES else ""
         raise ConfigError(f"{path}: {error}{mend}") from error
     return {"file": str(path), "text": ElementTree.tostring(root, encoding="unicode"), "includes": True}
 
@@ -268,7 +268,7 @@ class ArmModel(_FolderConfig):
         return self
 
     @model_validator(mode="after")
-    def _one_value_a_joint(self) -> ArmModel:
+    def _check_one_value_per_joint(self) -> ArmModel:
         names = [joint.name for joint in self.joints]
         if len(set(names)) < len(names):
             raise ConflictError(f"two joints have the same name: {', '.join(names)}", ("joints",))
@@ -326,7 +326,7 @@ class Gripper(_FolderConfig):
         name: name of the folder `robot_models/grippers/<name>/`; may be left out.
         source: origin of the figures, in a few words.
         mjcf: the MJCF file beside the YAML. The file has one body, the gripper's frame, whose content becomes part of
-            the flange. Its `inertial` is that of flange and gripper together. Equalities, excludes and actuators are
+            the flange. Its `inertial` covers flange and gripper together. Equalities, excludes and actuators are
             added to the arm's. The site `pinch_site` lies where the fingers meet: z into the grasp, y along closing.
         mesh_sets: the asset sets of the MJCF's meshes.
         fingers: None for a gripper without fingers.

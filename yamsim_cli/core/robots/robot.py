@@ -106,12 +106,12 @@ def assemble_robot(arm: ArmModel, gripper: Gripper, dynamics: MeasuredArmDynamic
 def widest_joint_limits(arm: ArmModel) -> tuple[JointLimits, ...]:
     """Return an arm's joints, each with its widest limits over all grippers in the arm's file."""
 
-    def widest(joint: JointLimits) -> tuple[float, float]:
+    def widest_range(joint: JointLimits) -> tuple[float, float]:
         changed = (how.joints.get(joint.name, JointChange()).range for how in arm.grippers.values())
         ranges = [joint.range, *(found for found in changed if found)]
         return min(low for low, _ in ranges), max(high for _, high in ranges)
 
-    return tuple(joint.model_copy(update={"range": widest(joint)}) for joint in arm.joints)
+    return tuple(joint.model_copy(update={"range": widest_range(joint)}) for joint in arm.joints)
 
 
 def _write_fingers(root: ElementTree.Element, gripper: Gripper) -> tuple[float, float]:

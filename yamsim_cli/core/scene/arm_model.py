@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from ..config.rig import ArmConfig
 from ..errors import ConfigError, ResourceError
-from ..files.resources import Meshes
+from ..files.resources import MeshFolders
 from ..geometry.se3 import Array
 from ..robots.models import ArmModel, Gripper
 from ..robots.robot import Robot
 from .compilation import compile_spec
 
-_SEEN_GROUP = 2  # geom group that viewers show by default; collision geoms are in group 3
+_VISIBLE_GEOM_GROUP = 2  # geom group that viewers show by default; collision geoms are in group 3
 
 
 def _load_spec(arm: ArmConfig) -> mujoco.MjSpec:
@@ -49,12 +49,12 @@ def _error_text(error: ValueError, *, lines: bool) -> str:
     return reason if lines else re.sub(r",? line \d+", "", reason)
 
 
-def arm_spec(arm: ArmConfig, meshes: Meshes | None) -> mujoco.MjSpec:
+def arm_spec(arm: ArmConfig, meshes: MeshFolders | None) -> mujoco.MjSpec:
     """Return an arm with its gripper; its collision primitives are visible unless `meshes` has all its mesh sets."""
     return show_meshes_or_primitives(_load_spec(arm), arm.robot.mesh_sets, meshes)
 
 
-def show_meshes_or_primitives(spec: mujoco.MjSpec, sets: Iterable[str], meshes: Meshes | None) -> mujoco.MjSpec:
+def show_meshes_or_primitives(spec: mujoco.MjSpec, sets: Iterable[str], meshes: MeshFolders | None) -> mujoco.MjSpec:
     """Show the visual meshes of a spec if `meshes` has a folder for all `sets`, else its collision primitives.
 
     A body without visual meshes always shows its primitives. The function changes and returns `spec`.
@@ -70,16 +70,16 @@ def show_meshes_or_primitives(spec: mujoco.MjSpec, sets: Iterable[str], meshes: 
             files[mesh.file] = read_mesh_file(folder / file)
         spec.assets = files
         for body in spec.bodies:
-            if all(geom.group > _SEEN_GROUP for geom in body.geoms):
+            if all(geom.group > _VISIBLE_GEOM_GROUP for geom in body.geoms):
                 for geom in body.geoms:
-                    geom.group = _SEEN_GROUP
+                    geom.group = _VISIBLE_GEOM_GROUP
         return spec
     for body in spec.bodies:
         for geom in list(body.geoms):
             if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
                 spec.delete(geom)
             else:
-                geom.group = _SEEN_GROUP
+                geom.group = _VISIBLE_GEOM_GROUP
     for mesh in list(spec.meshes):
         spec.delete(mesh)
     return spec

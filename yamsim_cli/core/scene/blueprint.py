@@ -45,7 +45,7 @@ class Blueprint:
 
     Attributes:
         scene: the environment, with a table wide enough for all arms.
-        name: by default that of the rig.
+        name: of the scene; by default the rig's name.
         boards: whether the scene has the marker boards beside the arms' bases, and their mounts.
         background: whether the scene has sky, floor and lights. Without them, MuJoCo's default headlight stays.
         randomization: its distractors and materials are added to the scene.

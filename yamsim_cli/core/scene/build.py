@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ..config.mesh_provenance import FULL, PRIMITIVES, REDUCED
+from ..config.mesh_provenance import FULL_MESHES, PRIMITIVES_ONLY, REDUCED_MESHES
 from ..config.objects.object_config import ObjectConfig
 from ..config.recording import RecordConfig
 from ..config.rig import ArmConfig, RigConfig
@@ -20,11 +20,11 @@ from .assets.mesh_reduction import REPORT_FILE
 from .blueprint import Blueprint, TaskPhysics, recording_blueprint
 from .cloth import cloth_constraint_name, flat_points
 from .compilation import compile_spec
-from .compiled import ArmAddresses, ClothAddresses, CompiledScene, FingerAddresses, GeomOwner, Ids
+from .compiled import ArmAddresses, ClothAddresses, CompiledScene, FingerAddresses, GeomOwnerKind, Ids
 from .compose import READING_SUFFIX, WELD_NAME, compose_scene, visual_mesh_sets
 
 TIMESTEP = 0.002  # s, of physics for a rig without a task; equal to that of tasks
-_MOUNTS = "mounts"  # key, among the asset sets, of the board mounts whose STL file a user supplies
+_MOUNT_MESHES_KEY = "mounts"  # key, among the asset sets, of the board mounts whose STL file a user supplies
 
 
 def build_scene(session: Session) -> CompiledScene:
@@ -34,7 +34,7 @@ def build_scene(session: Session) -> CompiledScene:
     model = compile_spec(compose_scene(blueprint, locations))
     objects = [item.name for item in config.task.objects if item.cloth is None]
     geom_kind, geom_arm = _geom_owners(model, config.rig)
-    geom_kind[model.geom("table").id] = GeomOwner.TABLE
+    geom_kind[model.geom("table").id] = GeomOwnerKind.TABLE
     welds = config.grasp == "weld"
     return CompiledScene(
         model=model,
@@ -82,15 +82,15 @@ def describe_meshes(session: Session) -> dict[str, str]:
         files.setdefault(path.parent.name, {})[path.name] = assets[mesh.file]
     found = {name: _describe_mesh_set(folders.get(name), files.get(name, {})) for name in visual_mesh_sets(blueprint)}
     own = {f"{arm.mount.name}.stl" for arm in blueprint.rig.arms if arm.mount and arm.mount.stl}
-    if mounts := {name: data for name, data in files.get(_MOUNTS, {}).items() if name in own}:
-        found[_MOUNTS] = _describe_mesh_set(None, mounts)
+    if mounts := {name: data for name, data in files.get(_MOUNT_MESHES_KEY, {}).items() if name in own}:
+        found[_MOUNT_MESHES_KEY] = _describe_mesh_set(None, mounts)
     return found
 
 
 def _describe_mesh_set(folder: Path | None, files: Mapping[str, bytes]) -> str:
     if not files:
-        return PRIMITIVES
-    kind = REDUCED if folder is not None and (folder / REPORT_FILE).is_file() else FULL
+        return PRIMITIVES_ONLY
+    kind = REDUCED_MESHES if folder is not None and (folder / REPORT_FILE).is_file() else FULL_MESHES
     listed = "".join(f"{name} {sha256_bytes(files[name])}\n" for name in sorted(files))
     return f"{kind} {sha256_bytes(listed.encode())}"
 
@@ -199,14 +199,16 @@ def _subtree_bodies(model: mujoco.MjModel, body: int) -> list[int]:
 
 def _geom_owners(model: mujoco.MjModel, rig: RigConfig) -> tuple[Ids, Ids]:
     """Return `geom_kind` (without the table) and `geom_arm` of a `CompiledScene`, both (ngeom,)."""
-    kind = np.full(model.nbody, int(GeomOwner.OTHER))
+    kind = np.full(model.nbody, int(GeomOwnerKind.OTHER))
     of_arm = np.full(model.nbody, -1)
     for k, number in enumerate(rig.recording_order):
         prefix, robot = rig.arms[number].prefix, rig.arms[number].robot
         on_arm = model.body_rootid == model.body(prefix + robot.base).id
-        kind[on_arm], of_arm[on_arm] = GeomOwner.ARM, k
+        kind[on_arm], of_arm[on_arm] = GeomOwnerKind.ARM, k
         if robot.fingers is not None:
-            for name, finger in zip(robot.fingers.bodies, (GeomOwner.LEFT_FINGER, GeomOwner.RIGHT_FINGER), strict=True):
+            for name, finger in zip(
+                robot.fingers.bodies, (GeomOwnerKind.LEFT_FINGER, GeomOwnerKind.RIGHT_FINGER), strict=True
+            ):
                 kind[_subtree_bodies(model, model.body(prefix + name).id)] = finger
     kinds: Ids = kind[model.geom_bodyid]
     arms: Ids = of_arm[model.geom_bodyid]

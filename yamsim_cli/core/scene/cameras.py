@@ -11,7 +11,7 @@ from ..config.scene import FixedCamera
 from ..geometry.camera import opencv_from_mujoco
 from ..geometry.se3 import Array, pose, quat_from_rotation
 
-WORLD = "world"
+WORLD_BODY = "world"
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class SceneCamera:
     """A camera of a scene.
 
     Attributes:
-        body: name of the body that carries the camera; `WORLD` for a fixed camera.
+        body: name of the body that carries the camera; `WORLD_BODY` for a fixed camera.
         T_in_body: in MuJoCo's convention: view along -z, +y up in the image.
         fovy_deg: vertical field of view.
     """
@@ -32,13 +32,13 @@ class SceneCamera:
 
 def fixed_camera(name: str, camera: FixedCamera) -> SceneCamera:
     """Convert a camera config with a position and a target point."""
-    return SceneCamera(name, WORLD, pose(camera.position, _look_at(camera)), camera.fovy_deg)
+    return SceneCamera(name, WORLD_BODY, pose(camera.position, _look_at(camera)), camera.fovy_deg)
 
 
 def station_camera(rig: RigConfig, camera: RigCamera, size: tuple[int, int]) -> SceneCamera:
     """Convert a fixed camera of a rig's config, for images of `size` (width, height), px."""
     T = rig.T_cam_in_world(camera)
-    return SceneCamera(camera.name, WORLD, pose(T[:3, 3], opencv_from_mujoco(T[:3, :3])), camera.fovy(size))
+    return SceneCamera(camera.name, WORLD_BODY, pose(T[:3, 3], opencv_from_mujoco(T[:3, :3])), camera.fovy(size))
 
 
 def wrist_camera(arm: ArmConfig, size: tuple[int, int]) -> SceneCamera:

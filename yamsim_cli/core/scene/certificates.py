@@ -18,7 +18,7 @@ from .assets import AssetLock
 
 _CHECKS_VERSION = 3  # increases with each change of the checks' decisions, which makes older certificates stale
 _FOLDER = "certificates"
-_CONTENT = re.compile(r"-[0-9a-f]{12}$")  # content hash at the end of an imported set's name
+_CONTENT_HASH_PATTERN = re.compile(r"-[0-9a-f]{12}$")  # content hash at the end of an imported set's name
 
 
 class CertificateStatus(StrEnum):
@@ -109,7 +109,7 @@ def _older_certificates(path: Path, item: ObjectConfig) -> list[Path]:
 
     Up to version 0.2.0, file names had no content hash, and imports of different files under one name shared a file.
     """
-    shared = f"{item.name}-{_mesh_name_hash(item, _CONTENT.sub('', item.mesh.set))}.json"
+    shared = f"{item.name}-{_mesh_name_hash(item, _CONTENT_HASH_PATTERN.sub('', item.mesh.set))}.json"
     found = path.parent.glob(f"{item.name}-{_mesh_name_hash(item, item.mesh.set)}-*.json")
     return [*sorted(found, key=lambda file: file.stat().st_mtime_ns, reverse=True), path.with_name(shared)]
 

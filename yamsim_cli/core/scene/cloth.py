@@ -13,7 +13,7 @@ from ..config.objects.object_config import ObjectConfig
 from ..config.rig import RigConfig
 from ..geometry.se3 import Array
 
-_CHECK_PX = 16  # px, of one square of the checker texture
+_CHECKER_SQUARE_PX = 16  # px, of one square of the checker texture
 _TIME_CONSTANT = 0.01  # s, of cloth contacts and grasp constraints; at least two time steps
 # `solimp` of grasp constraints for cloth with `held: layers`. With 0.9 and 0.95, points of 0.1 g lag 4 cm.
 _GRASP_SOLIMP = (0.999, 0.9999)
@@ -103,8 +103,8 @@ def _add_material(spec: mujoco.MjSpec, item: ObjectConfig, cloth: Cloth) -> str:
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         rgb1=first,
         rgb2=second,
-        width=2 * _CHECK_PX,
-        height=2 * _CHECK_PX,
+        width=2 * _CHECKER_SQUARE_PX,
+        height=2 * _CHECKER_SQUARE_PX,
     )
     # The texture has two checks along each side.
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = item.name

@@ -10,7 +10,7 @@ import mujoco
 from ..errors import SimulationError, YamsimError
 
 # After these warnings, MuJoCo resets the state or ignores the drives, so the simulation is no longer valid.
-_FATAL = (
+_FATAL_WARNINGS = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
     mujoco.mjtWarning.mjWARN_BADQVEL,
     mujoco.mjtWarning.mjWARN_BADQACC,
@@ -36,7 +36,7 @@ def silence_mujoco_warnings() -> None:
 
 def physics_failure(data: mujoco.MjData) -> str | None:
     """Return MuJoCo's fatal warning since the last reset of `data`; None without one."""
-    for kind in _FATAL:
+    for kind in _FATAL_WARNINGS:
         counted = data.warning[int(kind)]
         if counted.number:
             text: str = mujoco.mju_warningText(kind, counted.lastinfo)

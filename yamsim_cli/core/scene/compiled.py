@@ -16,7 +16,7 @@ from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_z
 Ids = NDArray[np.int_]
 
 
-class GeomOwner(IntEnum):
+class GeomOwnerKind(IntEnum):
     """The kind of body to which a geom belongs."""
 
     OTHER = 0
@@ -27,9 +27,9 @@ class GeomOwner(IntEnum):
 
 
 # [i, j]: whether geoms of kinds i and j must not touch, which are an arm or finger and the table.
-FORBIDDEN_OWNER_PAIRS = np.zeros((len(GeomOwner), len(GeomOwner)), dtype=bool)
-for _part in (GeomOwner.ARM, GeomOwner.LEFT_FINGER, GeomOwner.RIGHT_FINGER):
-    FORBIDDEN_OWNER_PAIRS[_part, GeomOwner.TABLE] = FORBIDDEN_OWNER_PAIRS[GeomOwner.TABLE, _part] = True
+FORBIDDEN_OWNER_PAIRS = np.zeros((len(GeomOwnerKind), len(GeomOwnerKind)), dtype=bool)
+for _part in (GeomOwnerKind.ARM, GeomOwnerKind.LEFT_FINGER, GeomOwnerKind.RIGHT_FINGER):
+    FORBIDDEN_OWNER_PAIRS[_part, GeomOwnerKind.TABLE] = FORBIDDEN_OWNER_PAIRS[GeomOwnerKind.TABLE, _part] = True
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ class CompiledScene:
         arms: in the order of recordings, the left one first.
         object_qpos, object_dof: rigid object -> address of its free joint in `qpos` and in `qvel`.
         cameras: names of the recorded cameras, in order.
-        geom_kind: `GeomOwner` of each geom (ngeom,).
+        geom_kind: `GeomOwnerKind` of each geom (ngeom,).
         geom_arm: index of each geom's arm in `arms` (ngeom,), -1 for none.
     """
 
@@ -275,16 +275,17 @@ class CompiledScene:
         It applies each joint's gravity compensation error: MuJoCo's own `gravcomp` scales that of a body, not of a
         joint.
         """
-        if not self._gravity_errors:
+        if not self.gravity_errors:
             mujoco.mj_step(self.model, data, steps)
             return
         for _ in range(steps):
-            for dof, gravity in self._gravity_errors:
+            for dof, gravity in self.gravity_errors:
                 data.qfrc_applied[dof] = gravity * data.qfrc_gravcomp[dof]
             mujoco.mj_step(self.model, data)
 
     @functools.cached_property
-    def _gravity_errors(self) -> list[tuple[Ids, Array]]:
+    def gravity_errors(self) -> list[tuple[Ids, Array]]:
+        """Addresses in `qvel` of arms with gravity compensation errors, and their errors (dof,) as shares."""
         return [(arm.joint_dof, arm.gravity_error) for arm in self.arms if arm.gravity_error is not None]
 
 

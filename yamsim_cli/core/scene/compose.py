@@ -9,7 +9,7 @@ import numpy as np
 from ..config.randomization import ArmRanges
 from ..config.rendering import SHADOW_REACH
 from ..config.rig import ArmConfig, RigCamera, RigConfig
-from ..files.resources import Locations, Meshes
+from ..files.resources import Locations, MeshFolders
 from ..geometry.se3 import Array, quat_from_rotation
 from ..robots.dynamics import MeasuredArmDynamics
 from .arm_model import arm_spec, show_meshes_or_primitives
@@ -23,7 +23,7 @@ from .fiducials import add_base_board
 from .objects.scene_object import add_object
 from .randomized_model import add_randomized_parts
 
-_LINEAR = 1  # MuJoCo's code for linear interpolation of delayed commands and readings
+_LINEAR_INTERPOLATION = 1  # MuJoCo's code for linear interpolation of delayed commands and readings
 READING_SUFFIX = "_reading"  # suffix of a joint's name that gives the name of its delayed sensor
 WELD_NAME = "grasp_weld"  # name, after the arm's prefix, of the weld by which the hand can hold an object
 
@@ -40,7 +40,7 @@ def rig_mesh_sets(rig: RigConfig) -> tuple[str, ...]:
     return tuple(sorted(robots | {name for camera in rig.cameras for name in camera.mesh_sets}))
 
 
-def _all_mesh_folders(locations: Locations, blueprint: Blueprint) -> Meshes:
+def _all_mesh_folders(locations: Locations, blueprint: Blueprint) -> MeshFolders:
     """Return the folders of the visual mesh sets, and of all sets of collision meshes, which physics needs."""
     things = (*blueprint.objects, *blueprint.randomization.distractor_configs)
     needed = {item.mesh.set for item in things if item.needs_meshes and locations.meshes.get(item.mesh.set) is None}
@@ -113,7 +113,7 @@ def _add_delays(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float, ranges: Ar
         for name in robot.drive_names:
             drive = spec.actuator(arm.prefix + name)
             # A delay may not be a whole number of steps.
-            drive.delay, drive.nsample, drive.interp = delay, math.ceil(delay / timestep) + 2, _LINEAR
+            drive.delay, drive.nsample, drive.interp = delay, math.ceil(delay / timestep) + 2, _LINEAR_INTERPOLATION
     if delay := (own.sensor_delay_ms + most.sensor_delay_ms[1]) / 1000:
         for name in (*robot.joint_names, *(robot.fingers.joints[:1] if robot.fingers else ())):
             spec.add_sensor(
@@ -123,7 +123,7 @@ def _add_delays(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float, ranges: Ar
                 objname=arm.prefix + name,
                 delay=delay,
                 nsample=math.ceil(delay / timestep) + 2,
-                interp=_LINEAR,
+                interp=_LINEAR_INTERPOLATION,
             )
 
 
@@ -144,7 +144,7 @@ def _add_physics(spec: mujoco.MjSpec, physics: TaskPhysics, rig: RigConfig, rang
         )
 
 
-def _compose_arms(rig: RigConfig, bases: Sequence[Array], locations: Locations, meshes: Meshes) -> mujoco.MjSpec:
+def _compose_arms(rig: RigConfig, bases: Sequence[Array], locations: Locations, meshes: MeshFolders) -> mujoco.MjSpec:
     """An arm without a prefix is the root, because MuJoCo attaches only with a prefix."""
     specs = [arm_spec(arm, meshes) for arm in rig.arms]
     root = mujoco.MjSpec()
@@ -164,7 +164,9 @@ def _compose_arms(rig: RigConfig, bases: Sequence[Array], locations: Locations, 
     return root
 
 
-def _add_housing(root: mujoco.MjSpec, rig: RigConfig, camera: RigCamera, locations: Locations, meshes: Meshes) -> None:
+def _add_housing(
+    root: mujoco.MjSpec, rig: RigConfig, camera: RigCamera, locations: Locations, meshes: MeshFolders
+) -> None:
     file = locations.find_data_file(f"robot_models/cameras/{camera.housing}.xml")
     child = show_meshes_or_primitives(mujoco.MjSpec.from_file(str(file)), camera.mesh_sets, meshes)
     T = rig.T_cam_in_world(camera)
@@ -205,7 +207,7 @@ def add_home_key(
             qpos[model.joint(arm.prefix + name).qposadr[0]] = angle
     for name, position in (parts or {}).items():
         qpos[model.joint(name).qposadr[0]] = position
-    load = _static_load(model, qpos)
+    load = _static_joint_torques(model, qpos)
     for arm, angles in zip(rig.arms, resting, strict=True):
         for name, moved, angle in zip(arm.robot.joint_drives, arm.robot.joint_names, angles, strict=True):
             drive = model.actuator(arm.prefix + name)
@@ -217,7 +219,7 @@ def add_home_key(
     return compile_spec(spec)
 
 
-def _static_load(model: mujoco.MjModel, qpos: Array) -> Array:
+def _static_joint_torques(model: mujoco.MjModel, qpos: Array) -> Array:
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)

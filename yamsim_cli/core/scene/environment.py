@@ -11,11 +11,13 @@ from ..config.rendering import SHADOW_REACH, RenderConfig
 from ..config.scene import SceneConfig, Table
 from ..geometry.se3 import Array
 from ..geometry.stl import encode_stl
-from .objects.object_geoms import SEEN_GROUP, contact_attributes
+from .objects.object_geoms import VISIBLE_GROUP, contact_attributes
 
 _HALF_FLOOR, _TILE = 5.0, 0.5  # m, half the edge of the floor, and the edge of a tile
 _TILE_HEIGHT = 0.001  # m above the floor, sufficient for the depth buffer
-_CORE_DEPTH = 0.003  # m, inset of the inner box that casts a box's shadow: about two texels of the default shadow map
+_SHADOW_BOX_INSET = (
+    0.003  # m, inset of the inner box that casts a box's shadow: about two texels of the default shadow map
+)
 
 
 def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
@@ -111,12 +113,12 @@ def _add_box(
 
     Without MuJoCo's `contact` parameters, the box has no contacts.
     """
-    shared = {"type": mujoco.mjtGeom.mjGEOM_BOX, "pos": position, "group": SEEN_GROUP}
+    shared = {"type": mujoco.mjtGeom.mjGEOM_BOX, "pos": position, "group": VISIBLE_GROUP}
     nothing = {"contype": 0, "conaffinity": 0}
     spec.worldbody.add_geom(
         name=name, size=half_size, material="table", castshadow=False, **shared, **(contact or nothing)
     )
-    core = np.maximum(np.asarray(half_size) - _CORE_DEPTH, np.asarray(half_size) / 4)
+    core = np.maximum(np.asarray(half_size) - _SHADOW_BOX_INSET, np.asarray(half_size) / 4)
     # MuJoCo renders each box of a reflective material in a separate pass, so the core has no material.
     spec.worldbody.add_geom(name=f"{name}_core", size=core, **shared, **nothing)
 

@@ -16,7 +16,7 @@ from ..geometry.se3 import Array, quat_from_rotation
 from ..geometry.stl import encode_stl
 from ..images.board_image import board_texture
 from ..images.png import encode_png
-from .objects.object_geoms import SEEN_GROUP
+from .objects.object_geoms import VISIBLE_GROUP
 
 BOARD_BODY = "base_board"
 MOUNT_BODY = "base_mount"
@@ -54,7 +54,7 @@ def _add_board(spec: mujoco.MjSpec, arm: ArmConfig, config: BoardConfig, T_base_
         quat=quat_from_rotation(T[:3, :3]),
         size=[board.width / 2, board.height / 2, 0.01],
         material=material.name,
-        group=SEEN_GROUP,
+        group=VISIBLE_GROUP,
         contype=0,
         conaffinity=0,
         castshadow=False,
@@ -77,7 +77,7 @@ def _add_mount(spec: mujoco.MjSpec, arm: ArmConfig, config: MountConfig, T_base_
         pos=T[:3, 3],
         quat=quat_from_rotation(T[:3, :3]),
         material=material.name,
-        group=SEEN_GROUP,
+        group=VISIBLE_GROUP,
         contype=0,
         conaffinity=0,
     )

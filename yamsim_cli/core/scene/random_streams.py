@@ -28,10 +28,11 @@ class Stream(IntEnum):
     SALT_PEPPER = 22
     READINGS = 23
     ARMS = 24
+    SENSOR = 25
     ROLES = 30
     PHRASING = 31
     PLACES = 32
-    SEARCH = 33
+    PLANNING = 33
     CRUMPLES = 34
 
 

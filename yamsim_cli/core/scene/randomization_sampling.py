@@ -12,21 +12,27 @@ from ..config.randomization import ArmRanges, LightRanges, LookRanges, Randomiza
 from ..config.variation import AppearanceSample, ArmDynamicsSample, LightSample, RandomizationSample, SurfaceSample
 from .random_streams import Stream, random_generator
 
-_REPEATS = (2, 9)  # half-open range of a pattern's repetitions along each edge of a surface
+_PATTERN_REPEATS = (2, 9)  # half-open range of a pattern's repetitions along each edge of a surface
 _SEEDS = 2**31
+_PHYSICAL = (Stream.MASS, Stream.FRICTION, Stream.ARMS)  # streams that do not depend on the look
 TABLE = "table"  # key in `RandomizationSample.friction`, whose other keys are objects
 
 
 def sample_randomization(
-    config: RandomizationConfig, job: AttemptJob, lights: int, objects: Sequence[ObjectConfig], dofs: Sequence[int]
+    config: RandomizationConfig,
+    job: AttemptJob,
+    lights: int,
+    objects: Sequence[ObjectConfig],
+    dofs: Sequence[int],
+    look: int = 0,
 ) -> RandomizationSample:
     """Sample an attempt's variation without distractors, which `sim.placement` places when the motion is known.
 
-    `lights` and `dofs` are the numbers of lights and of each arm's joints.
+    `lights` and `dofs` are the numbers of lights and of each arm's joints. `look` affects all parts but the physical.
     """
 
     def rng(stream: Stream) -> np.random.Generator:
-        return random_generator(job, stream)
+        return random_generator(job if stream in _PHYSICAL else job.for_look(look), stream)
 
     def uniform(stream: Stream, low: float, high: float) -> float:
         return float(rng(stream).uniform(low, high))
@@ -107,7 +113,7 @@ def _sample_surface(ranges: SurfaceRanges, rng: np.random.Generator) -> SurfaceS
     other = value - contrast if value > 0.5 else value + contrast
     first, second = (colorsys.hsv_to_rgb(hue, saturation, float(np.clip(v, 0, 1))) for v in (value, other))
     colours = (first, first) if texture == "plain" else (first, second)
-    return SurfaceSample(texture, colours, int(rng.integers(*_REPEATS)), int(rng.integers(_SEEDS)))
+    return SurfaceSample(texture, colours, int(rng.integers(*_PATTERN_REPEATS)), int(rng.integers(_SEEDS)))
 
 
 def _weighted_choice(weights: Mapping[Texture, float], share: float) -> Texture:

@@ -11,7 +11,7 @@ from ..config.randomization import RandomizationConfig, SurfaceRanges
 from ..config.recording import SCENE_CAMERA
 from ..config.scene import SceneConfig
 from ..config.variation import ArmDynamicsSample, LightSample, RandomizationSample, SurfaceSample
-from ..files.resources import Meshes
+from ..files.resources import MeshFolders
 from ..geometry.se3 import Array, UprightPose, pose_from_quat, quat_from_rotation, rotation_from_vector, rotation_z
 from .compiled import ArmAddresses, CompiledScene
 from .objects.object_geoms import HIDDEN_GROUP
@@ -21,11 +21,11 @@ _ABSENT_GROUP, _ABSENT_POSITION = 4, (0.0, 0.0, -5.0)  # unrendered geom group a
 _TEXTURED = "_textured"
 _TEXTURE_SIZE = 256  # px, edge of a texture
 _OCTAVES = 4  # noise grids, each twice as fine as the previous one
-_TILES = "floor_tiles"
+_FLOOR_TEXTURE = "floor_tiles"
 _FLOOR_REPEAT = 8  # per repetition of the table's texture: the floor is ten times as wide
 _SURFACES = {"table": "table", "floor": "safety_plane"}  # surface in the config -> name of its geom
 
-_SAVED = (  # fields of `MjModel` that a variation can change; `apply_randomization` resets them
+_RANDOMIZED_FIELDS = (  # fields of `MjModel` that a variation can change; `apply_randomization` resets them
     "light_diffuse", "light_dir", "light_pos",
     "body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "body_pos", "body_quat",
     "dof_M0", "dof_invweight0", "tendon_invweight0", "actuator_acc0", "cam_poscom0", "light_poscom0",
@@ -41,7 +41,7 @@ def _is_textured(ranges: SurfaceRanges | None, part: str) -> bool:
     return ranges is not None and not untextured.issuperset(ranges.textures)
 
 
-def add_randomized_parts(spec: mujoco.MjSpec, config: RandomizationConfig, meshes: Meshes) -> None:
+def add_randomized_parts(spec: mujoco.MjSpec, config: RandomizationConfig, meshes: MeshFolders) -> None:
     """Add the distractors of a randomization config, and materials with an image texture, to a scene's spec."""
     for item in config.distractor_configs:
         add_object(spec, item, meshes, fixed=True)
@@ -77,7 +77,7 @@ class RandomizedModel:
         self._materials = {model.material(k).name: k for k in range(model.nmat)}
         of_body = model.body_rootid[model.geom_bodyid]
         self._distractor_geoms = {body: list(np.flatnonzero(of_body == body)) for body in self._extras.values()}
-        self._saved = {key: getattr(model, key).copy() for key in _SAVED}
+        self._saved = {key: getattr(model, key).copy() for key in _RANDOMIZED_FIELDS}
         self._headlight = {key: getattr(model.vis.headlight, key).copy() for key in _SAVED_HEADLIGHT}
         self.textures: list[int] = []
 
@@ -155,14 +155,14 @@ class RandomizedModel:
         model = self._model
         tiles = part == "floor" and surface.texture in ("plain", "checker")
         if tiles or surface.texture == "plain":
-            for material, colour in zip((part, _TILES), surface.colours, strict=True):
+            for material, colour in zip((part, _FLOOR_TEXTURE), surface.colours, strict=True):
                 if material == part or part == "floor":
                     model.mat_rgba[self._materials[material], :3] = colour
             return
         material = part + _TEXTURED
         model.geom_matid[model.geom(_SURFACES[part]).id] = self._materials[material]
         if part == "floor":
-            model.geom_group[model.geom(_TILES).id] = HIDDEN_GROUP
+            model.geom_group[model.geom(_FLOOR_TEXTURE).id] = HIDDEN_GROUP
         texture = model.texture(material).id
         start = int(model.tex_adr[texture])
         image = texture_image(surface)

@@ -27,12 +27,12 @@ class ObjectPlacement:
 
     Attributes:
         T: pose in `world`; settling corrects the height.
-        on: the supporting object, or `table`.
+        support_name: the supporting object, or `table`.
         joint_openings: part -> opening of its joint as a share of the joint's range.
     """
 
     T: Array
-    on: str
+    support_name: str
     joint_openings: Mapping[str, float]
 
 
@@ -116,7 +116,7 @@ def _sample_placement(
     neighbours = [
         footprint_corners(box_of(other, there.joint_openings), there.T)
         for other, there in placed.items()
-        if there.on == on
+        if there.support_name == on
     ]
     for _ in range(_MAX_TRIES):
         x, y = rng.uniform(*start.x), rng.uniform(*start.y)
@@ -130,7 +130,7 @@ def _sample_placement(
         at = (T_on @ (x, y, 0.0, 1.0))[:3] - np.array([middle[0], middle[1], 0.0])
         candidate = ObjectPlacement(pose(at, R), on, opened)
         corners = footprint_corners(box, candidate.T)
-        if on == TABLE and not _on_table(corners, table):
+        if on == TABLE and not _is_on_table(corners, table):
             continue
         if all(footprint_distance(corners, there) >= start.apart for there in neighbours):
             return candidate
@@ -155,7 +155,7 @@ def footprint_corners(box: Array, T: Array) -> Array:
     return corners
 
 
-def _on_table(corners: Array, table: Table) -> bool:
+def _is_on_table(corners: Array, table: Table) -> bool:
     middle, half = np.array(table.position[:2]), np.array(table.half_size[:2])
     return bool((np.abs(corners - middle) <= half).all())
 

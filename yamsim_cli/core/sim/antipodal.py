@@ -12,7 +12,7 @@ import numpy as np
 from ..geometry.se3 import Array, pose
 from .geom_shapes import geom_points
 
-_INNER_POINTS = 24  # points inside an object through which lines are tried, besides the centre of mass
+_RAY_POINTS = 24  # points inside an object through which lines are tried, besides the centre of mass
 
 # The object's axes, and the bisectors of two and of three axes.
 _DIRECTIONS = tuple(
@@ -22,7 +22,7 @@ _DIRECTIONS = tuple(
 )
 
 _MAX_SLOPE = math.tan(math.radians(15))  # tangent, of a face against the plane normal to the line
-_SLOPE_OFFSET = 0.003  # m, from the line of the rays that measure slopes
+_SLOPE_RAY_OFFSET = 0.003  # m, from the line of the rays that measure slopes
 _SQUARED_RADIUS_FACTOR = 1.001  # of geoms' bounding spheres, against rounding errors
 _RAY_START = 1.0  # m, from a point in an object; larger than any object on a table
 
@@ -53,7 +53,7 @@ def find_antipodal_pairs(
     """
     T = pose(data.xpos[body], data.xmat[body].reshape(3, 3))
     geoms = [g for g in range(model.ngeom) if model.body_rootid[model.geom_bodyid[g]] == body and model.geom_contype[g]]
-    points, _ = geom_points(model, [g for g in geoms if model.geom_bodyid[g] == body], _INNER_POINTS)
+    points, _ = geom_points(model, [g for g in geoms if model.geom_bodyid[g] == body], _RAY_POINTS)
     centre = model.body_ipos[body]
     found = []
     for point, direction in itertools.product((centre, *points), _DIRECTIONS):
@@ -69,15 +69,21 @@ def _measure_pair(
     side = np.cross(direction, (0.0, 0.0, 1.0) if abs(direction[2]) < 0.9 else (1.0, 0.0, 0.0))
     side /= np.linalg.norm(side)
     other = np.cross(direction, side)
-    offsets = [np.zeros(3), _SLOPE_OFFSET * side, -_SLOPE_OFFSET * side, _SLOPE_OFFSET * other, -_SLOPE_OFFSET * other]
+    offsets = [
+        np.zeros(3),
+        _SLOPE_RAY_OFFSET * side,
+        -_SLOPE_RAY_OFFSET * side,
+        _SLOPE_RAY_OFFSET * other,
+        -_SLOPE_RAY_OFFSET * other,
+    ]
     distances = []
     for sign in (1.0, -1.0):
         depths = [_surface_distance(model, data, geoms, T, point + offset, sign * direction) for offset in offsets]
         if any(depth is None for depth in depths):
             return None
         distances.append(np.array(depths, float))
-    slopes = [abs(d[1] - d[2]) / (2 * _SLOPE_OFFSET) for d in distances] + [
-        abs(d[3] - d[4]) / (2 * _SLOPE_OFFSET) for d in distances
+    slopes = [abs(d[1] - d[2]) / (2 * _SLOPE_RAY_OFFSET) for d in distances] + [
+        abs(d[3] - d[4]) / (2 * _SLOPE_RAY_OFFSET) for d in distances
     ]
     high, low = float(distances[0][0]), -float(distances[1][0])
     middle: Array = point + direction * (high + low) / 2

@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.cloth_contacts import count_self_intersections, mask_between_pads, nearest_per_layer
+from ..geometry.cloth_contacts import count_self_intersections, mask_between_pads, nearest_point_per_layer
 from ..geometry.se3 import Array, pose, rotation_z
 from ..scene.cloth import grid_edges, grid_triangles
-from ..scene.compiled import ClothAddresses, CompiledScene, GeomOwner
+from ..scene.compiled import ClothAddresses, CompiledScene, GeomOwnerKind
 from .settling import settle_objects
 
 _CLOSED_OPENING = 0.006  # m, of each finger at which a hand grasps cloth
@@ -20,12 +20,12 @@ _RELEASE_OPENING = 0.002  # m, a hand releases cloth if its commanded opening ex
 
 _PAD_WIDTH = 0.0072  # m, half
 _PAD_LENGTH = 0.0082  # m, half
-_BELOW_TIPS = 0.002  # m, reach of closing fingers beyond their tips, in addition to the cloth's thickness
+_REACH_BELOW_TIPS = 0.002  # m, reach of closing fingers beyond their tips, in addition to the cloth's thickness
 
 # m, x and y of the lines along which layers are found, in the pinch frame.
-_LINES = np.array([(0.0, 0.0), (-_PAD_WIDTH, 0.0), (_PAD_WIDTH, 0.0)])
+_PAD_LINES = np.array([(0.0, 0.0), (-_PAD_WIDTH, 0.0), (_PAD_WIDTH, 0.0)])
 
-_MOVED_MASS = 1.0  # kg, of each point while `moving_points` moves it, so that the cloth cannot pull it back
+_MOVED_POINT_MASS = 1.0  # kg, of each point while `moving_points` moves it, so that the cloth cannot pull it back
 
 _LIFT_SPEED = 0.3  # m/s, of the point by which cloth is lifted before a drop
 # A lift before a drop has at least the smaller of this height, m, and this share of half the cloth's diagonal.
@@ -34,9 +34,9 @@ _MAX_HEADING = 0.5  # rad, from a lifted point's path to the direction to the cl
 
 # Crumpled cloth must not pass through itself or into the table.
 _MAX_DROPS = 40  # if all have faults (crossings, sunk points, too flat), the best is used
-_MAX_SINK = 0.5  # thicknesses below the flat cloth, from which a point counts as sunk into its support
-_MIN_CRUMPLED = 4.0  # layer thicknesses, height of crumpled cloth
-_SETTLINGS = 3  # runs of `settle_objects` after a drop; cloth takes longer to come to rest than other objects
+_MAX_SINK_LAYERS = 0.5  # thicknesses below the flat cloth, from which a point counts as sunk into its support
+_MIN_CRUMPLED_LAYERS = 4.0  # layer thicknesses, height of crumpled cloth
+_MAX_SETTLE_RUNS = 3  # runs of `settle_objects` after a drop; cloth takes longer to come to rest than other objects
 
 _REST_SECONDS = 0.5  # after the points of a pull are released
 
@@ -105,7 +105,7 @@ class ClothConstraints:
 
     def __init__(self, scene: CompiledScene) -> None:
         self._scene = scene
-        kinds = (GeomOwner.LEFT_FINGER, GeomOwner.RIGHT_FINGER)
+        kinds = (GeomOwnerKind.LEFT_FINGER, GeomOwnerKind.RIGHT_FINGER)
         self._fingers = [
             tuple(np.flatnonzero((scene.geom_arm == k) & (scene.geom_kind == kind)) for kind in kinds)
             for k in range(len(scene.arms))
@@ -160,10 +160,10 @@ def points_between_pads(cloth: ClothAddresses, points: Array, T_pinch_in_world: 
     within half the spacing. If the cloth is held by layers, they also grasp the nearest point of each layer in between.
     """
     seen = (points - T_pinch_in_world[:3, 3]) @ T_pinch_in_world[:3, :3]
-    deep = (-_PAD_LENGTH, _PAD_LENGTH + cloth.thickness + _BELOW_TIPS)
+    deep = (-_PAD_LENGTH, _PAD_LENGTH + cloth.thickness + _REACH_BELOW_TIPS)
     found = np.flatnonzero(mask_between_pads(seen, max(_PAD_WIDTH, cloth.max_point_spacing / 2), deep))
     if cloth.held_by_layers:
-        found = np.union1d(found, nearest_per_layer(seen, grid_triangles(*cloth.grid), _LINES, deep))
+        found = np.union1d(found, nearest_point_per_layer(seen, grid_triangles(*cloth.grid), _PAD_LINES, deep))
     return found
 
 
@@ -180,15 +180,15 @@ def moving_points(
     bodies = model.dof_bodyid[dof[:, 0]]
     masses, inertias = model.body_mass[bodies].copy(), model.dof_M0[dof].copy()
 
-    def step(at: Array) -> None:
+    def move_and_step(at: Array) -> None:
         qpos = at - cloth.flat_points[points]
         data.qvel[dof] = (qpos - data.qpos[cloth.qpos[points]]) / model.opt.timestep
         mujoco.mj_step(model, data)
         data.qpos[cloth.qpos[points]] = qpos
 
     try:
-        model.body_mass[bodies], model.dof_M0[dof] = _MOVED_MASS, _MOVED_MASS
-        yield step
+        model.body_mass[bodies], model.dof_M0[dof] = _MOVED_POINT_MASS, _MOVED_POINT_MASS
+        yield move_and_step
     finally:
         model.body_mass[bodies], model.dof_M0[dof] = masses, inertias
 
@@ -205,13 +205,13 @@ def crumple_cloth(
     """
     sheet = scene.cloths[cloth]
     ends, corners = grid_edges(*sheet.grid), grid_triangles(*sheet.grid)
-    lowest = float(sheet.points(start)[:, 2].min()) - _MAX_SINK * sheet.thickness
+    lowest = float(sheet.points(start)[:, 2].min()) - _MAX_SINK_LAYERS * sheet.thickness
     faults: list[int] = []
     tried: list[Array] = []
     while len(tried) < _MAX_DROPS and 0 not in faults:
         tried.append(drop_cloth(scene, start, sheet, rng, share, timestep))
         points = sheet.points(tried[-1])
-        low = float(np.ptp(points[:, 2])) < (_MIN_CRUMPLED - 1) * sheet.thickness
+        low = float(np.ptp(points[:, 2])) < (_MIN_CRUMPLED_LAYERS - 1) * sheet.thickness
         faults.append(count_self_intersections(points, ends, corners) + low + int((points[:, 2] < lowest).sum()))
     return tried[int(np.argmin(faults))]
 
@@ -239,7 +239,7 @@ def drop_cloth(
                 step_to(at)
     dropped = start.copy()
     dropped[sheet.qpos] = data.qpos[sheet.qpos]
-    for _ in range(_SETTLINGS):
+    for _ in range(_MAX_SETTLE_RUNS):
         dropped = settle_objects(scene, dropped, timestep).qpos
     return dropped
 

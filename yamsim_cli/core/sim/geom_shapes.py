@@ -11,9 +11,9 @@ from ..geometry.se3 import Array
 
 _GEOM = mujoco.mjtGeom
 
-_MESHES = (int(_GEOM.mjGEOM_MESH), int(_GEOM.mjGEOM_SDF))
+_MESH_GEOM_TYPES = (int(_GEOM.mjGEOM_MESH), int(_GEOM.mjGEOM_SDF))
 
-_SIDES = 24  # of the polygon that replaces a circle; the error is less than 1 % of the radius
+_CIRCLE_SEGMENTS = 24  # of the polygon that replaces a circle; the error is less than 1 % of the radius
 
 
 def geom_aabb(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Array:
@@ -64,11 +64,11 @@ def body_surface(model: mujoco.MjModel, geoms: Sequence[int]) -> Surface:
 
 
 def geom_corners(model: mujoco.MjModel, geom: int) -> Array:
-    """Return points (n, 3) whose convex hull is that of a geom, in its body's frame, m; circles have 24 sides."""
+    """Return points (n, 3) with the same convex hull as a geom, in its body's frame, m; circles have 24 sides."""
     R, at = _geom_pose(model, geom)
     points = (
         _mesh_vertices(model, geom)
-        if model.geom_type[geom] in _MESHES
+        if model.geom_type[geom] in _MESH_GEOM_TYPES
         else np.concatenate(_primitive_loops(model, geom))
     )
     return points @ R.T + at
@@ -131,7 +131,7 @@ def _are_inside_geom(model: mujoco.MjModel, geom: int, points: Array) -> Array:
 
 
 def _geom_surface(model: mujoco.MjModel, geom: int) -> Surface:
-    if model.geom_type[geom] not in _MESHES:
+    if model.geom_type[geom] not in _MESH_GEOM_TYPES:
         return loft(_primitive_loops(model, geom))
     mesh = int(model.geom_dataid[geom])
     first, number = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
@@ -148,15 +148,15 @@ def _primitive_loops(model: mujoco.MjModel, geom: int) -> list[Array]:
     if kind == _GEOM.mjGEOM_CYLINDER:
         radii, heights, stretch = np.ones(2), np.array([-1.0, 1.0]), np.array([size[0], size[0], size[1]])
     else:
-        up = np.linspace(-np.pi / 2, 0, _SIDES // 4 + 1)
+        up = np.linspace(-np.pi / 2, 0, _CIRCLE_SEGMENTS // 4 + 1)
         straight = size[1] / size[0] if kind == _GEOM.mjGEOM_CAPSULE else 0.0
         below = np.sin(up) - straight
         radii, heights = np.concatenate([np.cos(up), np.cos(up)[::-1]]), np.concatenate([below, -below[::-1]])
         stretch = size if kind == _GEOM.mjGEOM_ELLIPSOID else np.full(3, size[0])
-    angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
+    angle = 2 * np.pi * np.arange(_CIRCLE_SEGMENTS) / _CIRCLE_SEGMENTS
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     rings = zip(radii, heights, strict=True)
-    return [np.column_stack([r * circle, np.full(_SIDES, z)]) * stretch for r, z in rings]
+    return [np.column_stack([r * circle, np.full(_CIRCLE_SEGMENTS, z)]) * stretch for r, z in rings]
 
 
 def _mesh_vertices(model: mujoco.MjModel, geom: int) -> Array:

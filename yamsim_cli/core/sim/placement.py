@@ -28,6 +28,7 @@ class DistractorPlacer:
     def __init__(self, config: RecordConfig, scene: CompiledScene) -> None:
         self._distractors = config.randomization.distractors
         self._table = config.widened_table
+        self._look = config.look
         self._model = copy.copy(scene.model)
         self._randomized_model = RandomizedModel(self._model, config.randomization, config.scene)
 
@@ -42,7 +43,7 @@ class DistractorPlacer:
             return {}
         for item in config.objects:
             self._randomized_model.place_distractor(item.name, None)
-        rng = random_generator(job, Stream.DISTRACTORS)
+        rng = random_generator(job.for_look(self._look), Stream.DISTRACTORS)
         wanted = int(rng.integers(config.count[0], config.count[1] + 1))
         order = rng.permutation(len(config.objects))[:wanted]
         data = mujoco.MjData(self._model)
@@ -52,7 +53,7 @@ class DistractorPlacer:
             for _ in range(_MAX_TRIES):
                 x, y, yaw = rng.uniform(*config.x), rng.uniform(*config.y), rng.uniform(-math.pi, math.pi)
                 disc = _footprint_discs(item, x, y, yaw)
-                if not _on_table(disc, self._table) or any(
+                if not _is_on_table(disc, self._table) or any(
                     _disc_distance(disc, other) < config.clearance for other in discs
                 ):
                     continue
@@ -94,7 +95,7 @@ def _footprint_discs(item: ObjectConfig, x: float, y: float, yaw: float) -> Arra
     return np.array([[x + c * a - s * b, y + s * a + c * b, radius] for a, b, radius in item.footprint_discs])
 
 
-def _on_table(discs: Array, table: Table) -> bool:
+def _is_on_table(discs: Array, table: Table) -> bool:
     middle, half = np.array(table.position[:2]), np.array(table.half_size[:2])
     return bool((np.abs(discs[:, :2] - middle) + discs[:, 2:] <= half).all())
 

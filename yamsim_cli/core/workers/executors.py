@@ -25,7 +25,7 @@ class JobRunner(Protocol[JobIn, ResultOut]):
 
 
 # Creates the runner of a worker, as a context manager; must be picklable.
-RunnerFactory = Callable[[], AbstractContextManager[JobRunner[J, R]]]
+OpenRunner = Callable[[], AbstractContextManager[JobRunner[J, R]]]
 
 
 class WorkerBugError(RuntimeError):
@@ -93,7 +93,8 @@ def run_all(
 ) -> Iterator[tuple[J, R]]:
     """Yield every job with its result, in the order in which jobs finish. Raises as `Executor.next_result`.
 
-    `lost` returns the result of a job that ended every worker; with None, the `LostJobError` is raised.
+    `lost` returns a substitute result for a job that ended every worker that tried it; with None, the `LostJobError`
+    is raised.
     """
     waiting = iter(jobs)
     while True:
@@ -112,7 +113,7 @@ def run_all(
 class InlineExecutor(Closable, Generic[J, R]):
     """Runs a job in the caller's process, when the job's result is requested."""
 
-    def __init__(self, factory: RunnerFactory[J, R]) -> None:
+    def __init__(self, factory: OpenRunner[J, R]) -> None:
         self._stack = contextlib.ExitStack()
         self._runner = self._stack.enter_context(factory())
         self._waiting: deque[J] = deque()

@@ -14,14 +14,14 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from ..errors import YamsimError
-from .executors import JobRunner, RunnerFactory
-from .worker_pool import Event, JobFailed, JobFinished, WorkerCrashed, WorkerReady
+from .executors import JobRunner, OpenRunner
+from .worker_pool import JobFailed, JobFinished, WorkerCrashed, WorkerEvent, WorkerReady
 
 # All processes of the parent's group receive these signals, but only the parent reacts.
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 # Header of an answer: the id of the answering process, and the number of the job, or 0 for "ready".
-HEADER = struct.Struct("!QQ")
+ANSWER_HEADER = struct.Struct("!QQ")
 
 
 class WorkerJobRunner:
@@ -45,8 +45,8 @@ class WorkerJobRunner:
         Unpickling imports the runner's modules, which takes seconds.
         """
 
-        def make() -> Event[Any]:
-            opened: RunnerFactory[Any, Any] = pickle.loads(factory)
+        def make() -> WorkerEvent[Any]:
+            opened: OpenRunner[Any, Any] = pickle.loads(factory)
             self._runner = self._stack.enter_context(opened())
             return WorkerReady()
 
@@ -66,14 +66,14 @@ class WorkerJobRunner:
 def serve_jobs(pipe: Connection, factory: bytes) -> None:
     """Answer jobs from a pipe until it closes.
 
-    The pipe delivers numbered jobs, and takes pickled `worker_pool.Event`s, each after a `HEADER`.
+    The pipe delivers numbered jobs, and takes pickled `worker_pool.Event`s, each after a `ANSWER_HEADER`.
     """
     # The parent closed the pipe, or has ended.
     with contextlib.closing(WorkerJobRunner()) as server, contextlib.suppress(EOFError, OSError):
-        pipe.send_bytes(HEADER.pack(os.getpid(), 0) + server.create_runner(factory))
+        pipe.send_bytes(ANSWER_HEADER.pack(os.getpid(), 0) + server.create_runner(factory))
         while server.is_ready:
             number, job = pipe.recv()
-            pipe.send_bytes(HEADER.pack(os.getpid(), number) + server.run(job))
+            pipe.send_bytes(ANSWER_HEADER.pack(os.getpid(), number) + server.run(job))
 
 
 def end_with_parent() -> None:
@@ -84,7 +84,7 @@ def end_with_parent() -> None:
     os._exit(1)
 
 
-def _run_to_event(work: Callable[[], Event[Any]]) -> bytes:
+def _run_to_event(work: Callable[[], WorkerEvent[Any]]) -> bytes:
     try:
         with kill_forks_at_exit():
             return pickle.dumps(work(), pickle.HIGHEST_PROTOCOL)

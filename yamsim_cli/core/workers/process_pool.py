@@ -17,12 +17,12 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, Generic, cast
 
-from .executors import J, R, RunnerFactory
-from .job_server import HEADER, STOP_SIGNALS, end_with_parent, serve_jobs
-from .worker_pool import JOB_SECONDS, BaseWorkerPool, Event, Worker, WorkerDied
+from .executors import J, OpenRunner, R
+from .job_server import ANSWER_HEADER, STOP_SIGNALS, end_with_parent, serve_jobs
+from .worker_pool import JOB_TIMEOUT, BaseWorkerPool, Worker, WorkerDied, WorkerEvent
 
-_END_SECONDS = 5.0  # s, timeout for the end of a killed process
-MESSAGE_SECONDS = 60.0  # s, timeout from the first byte of a message to the last
+_KILL_TIMEOUT = 5.0  # s, timeout for the end of a killed process
+MESSAGE_TIMEOUT = 60.0  # s, timeout from the first byte of a message to the last
 
 # Blocked while a process starts. `__main__` uses SIGALRM to delay a stop that arrives during an import.
 _BLOCKED_SIGNALS = (*STOP_SIGNALS, signal.SIGALRM)
@@ -31,7 +31,7 @@ _BLOCKED_SIGNALS = (*STOP_SIGNALS, signal.SIGALRM)
 class ProcessPool(BaseWorkerPool[J, R]):
     """An `Executor` that runs jobs in processes of this machine. `factory` creates the runner in each process."""
 
-    def __init__(self, factory: RunnerFactory[J, R], workers: int, job_seconds: float = JOB_SECONDS) -> None:
+    def __init__(self, factory: OpenRunner[J, R], workers: int, job_seconds: float = JOB_TIMEOUT) -> None:
         super().__init__(_Processes(factory), workers, job_seconds)
         # At exit, multiprocessing would send SIGTERM to remaining workers, which ignore it, and wait forever.
         atexit.register(self.close)
@@ -56,29 +56,29 @@ class _Process(Generic[J, R]):
         self._sent += 1
         self.pipe.send((self._sent, job))
 
-    def receive(self) -> Event[R] | None:
+    def receive(self) -> WorkerEvent[R] | None:
         """Return the event that is arriving; None if it is from a forked copy of the worker, or for an earlier job."""
         # A worker that stops during a message would block the parent forever.
-        guard = threading.Timer(MESSAGE_SECONDS, self._process.kill)
+        guard = threading.Timer(MESSAGE_TIMEOUT, self._process.kill)
         guard.daemon = True
         guard.start()
         try:
             message = memoryview(self.pipe.recv_bytes())
-            if HEADER.unpack_from(message) != (self._process.pid, self._sent):
+            if ANSWER_HEADER.unpack_from(message) != (self._process.pid, self._sent):
                 return None
-            return cast("Event[R]", pickle.loads(message[HEADER.size :]))
+            return cast("WorkerEvent[R]", pickle.loads(message[ANSWER_HEADER.size :]))
         except (EOFError, OSError):
-            return WorkerDied(self._how_it_ended())
+            return WorkerDied(self._exit_description())
         finally:
             guard.cancel()
 
     def kill(self) -> None:
         self.pipe.close()
         self._process.kill()
-        self._process.join(_END_SECONDS)
+        self._process.join(_KILL_TIMEOUT)
 
-    def _how_it_ended(self) -> str:
-        self._process.join(_END_SECONDS)
+    def _exit_description(self) -> str:
+        self._process.join(_KILL_TIMEOUT)
         code = self._process.exitcode
         if code is None or code >= 0:
             return f"ended with code {code}"
@@ -87,14 +87,14 @@ class _Process(Generic[J, R]):
 
 
 class _Processes(Generic[J, R]):
-    def __init__(self, factory: RunnerFactory[J, R]) -> None:
+    def __init__(self, factory: OpenRunner[J, R]) -> None:
         # The worker unpickles the factory itself, after its signal setup.
         self._factory = pickle.dumps(factory)
 
     def start(self, number: int) -> Worker[J]:
         return _Process[J, R](*start_process(f"yamsim-worker-{number}", serve_jobs, self._factory))
 
-    def wait(self, workers: Sequence[Worker[J]], timeout: float) -> list[tuple[Worker[J], Event[R]]]:
+    def wait(self, workers: Sequence[Worker[J]], timeout: float) -> list[tuple[Worker[J], WorkerEvent[R]]]:
         processes = {worker.pipe: worker for worker in workers if isinstance(worker, _Process)}
         ready = cast("list[Any]", wait(list(processes), timeout))
         heard = [(processes[pipe], processes[pipe].receive()) for pipe in ready]

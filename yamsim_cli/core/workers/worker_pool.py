@@ -19,9 +19,9 @@ from ..closable import Closable
 from ..errors import PartialJobError, YamsimError
 from .executors import J, JobIn, LostJobError, R, WorkerBugError
 
-JOB_SECONDS = 600.0  # s, of a job; a longer job means a hung driver or a swapping machine
-START_SECONDS = 300.0  # s, for imports, compilation of the scene, OpenGL
-_MAX_TRIES = 3  # of a job, each on another worker
+JOB_TIMEOUT = 600.0  # s, of a job; a longer job means a hung driver or a swapping machine
+START_TIMEOUT = 300.0  # s, for imports, compilation of the scene, OpenGL
+_MAX_TRIES = 3  # tries of a job whose worker dies, each on another worker
 _MAX_STARTS = 3  # failed in a row, after which a worker is dropped
 _POLL_SECONDS = 0.5  # between checks of time limits
 
@@ -59,7 +59,7 @@ class WorkerDied:
     cause: str
 
 
-Event = WorkerReady | JobFinished[R] | JobFailed | WorkerCrashed | WorkerDied
+WorkerEvent = WorkerReady | JobFinished[R] | JobFailed | WorkerCrashed | WorkerDied
 
 
 class Worker(Protocol[JobIn]):
@@ -89,7 +89,7 @@ class WorkerBackend(Protocol[W, R]):
         """Start a worker, and return before the worker is ready."""
         ...
 
-    def wait(self, workers: Sequence[W], timeout: float) -> Sequence[tuple[W, Event[R]]]:
+    def wait(self, workers: Sequence[W], timeout: float) -> Sequence[tuple[W, WorkerEvent[R]]]:
         """Return events of workers, at most one for each; empty if none arrives within `timeout` seconds."""
         ...
 
@@ -101,11 +101,11 @@ class WorkerBackend(Protocol[W, R]):
 @dataclass(eq=False)
 class _Task(Generic[J]):
     job: J
-    losses: int = 0
+    lost_workers: int = 0
 
     @property
     def is_last_try(self) -> bool:
-        return self.losses == _MAX_TRIES - 1
+        return self.lost_workers == _MAX_TRIES - 1
 
 
 @dataclass(eq=False)
@@ -114,13 +114,13 @@ class _Slot(Generic[J]):
     task: _Task[J] | None = None
     ready: bool = False
     failed_starts: int = 0
-    busy: float = 0.0  # s, spent so far on the start or on the task
+    busy_seconds: float = 0.0  # s, spent so far on the start or on the task
 
 
 class BaseWorkerPool(Closable, Generic[J, R]):
     """An `Executor` for any kind of worker, which replaces workers that die, hang, or exceed `job_seconds`."""
 
-    def __init__(self, backend: WorkerBackend[Worker[J], R], workers: int, job_seconds: float = JOB_SECONDS) -> None:
+    def __init__(self, backend: WorkerBackend[Worker[J], R], workers: int, job_seconds: float = JOB_TIMEOUT) -> None:
         self._backend = backend
         self._job_seconds = job_seconds
         self._slots: list[_Slot[J]] = []
@@ -183,18 +183,18 @@ class BaseWorkerPool(Closable, Generic[J, R]):
             self._handle_event(slot, event)
         for slot in [slot for slot in self._slots if slot not in heard]:
             if slot.task or not slot.ready:
-                slot.busy += passed
+                slot.busy_seconds += passed
                 self._check_timeout(slot)
         self._assign_jobs()
 
-    def _handle_event(self, slot: _Slot[J], event: Event[R]) -> None:
+    def _handle_event(self, slot: _Slot[J], event: WorkerEvent[R]) -> None:
         match event:
             case WorkerReady():
-                slot.ready, slot.busy, slot.failed_starts = True, 0.0, 0
+                slot.ready, slot.busy_seconds, slot.failed_starts = True, 0.0, 0
             case JobFinished(result):
                 assert slot.task is not None
                 self._done.append((slot.task.job, result))
-                slot.task, slot.busy = None, 0.0
+                slot.task, slot.busy_seconds = None, 0.0
             case JobFailed(error):
                 slot.task = None
                 self._done.append(error)
@@ -206,22 +206,22 @@ class BaseWorkerPool(Closable, Generic[J, R]):
                 self._replace_worker(slot, how)
 
     def _check_timeout(self, slot: _Slot[J]) -> None:
-        limit = self._job_seconds if slot.ready else START_SECONDS
-        if slot.busy > limit:
+        limit = self._job_seconds if slot.ready else START_TIMEOUT
+        if slot.busy_seconds > limit:
             slot.worker.kill()
             self._replace_worker(slot, f"was ended after {limit:g} s without a result")
 
     def _replace_worker(self, slot: _Slot[J], how: str) -> None:
         task, slot.task = slot.task, None
         if task:
-            task.losses += 1
-        if task and task.losses >= _MAX_TRIES:
+            task.lost_workers += 1
+        if task and task.lost_workers >= _MAX_TRIES:
             self._done.append(LostJobError(task.job, _MAX_TRIES, how))
         elif task:
             self._waiting.appendleft(task)
         slot.failed_starts += not slot.ready
         if slot.failed_starts < _MAX_STARTS:
-            slot.worker, slot.ready, slot.busy = self._start_worker(), False, 0.0
+            slot.worker, slot.ready, slot.busy_seconds = self._start_worker(), False, 0.0
             return
         self._slots.remove(slot)
         if not self._slots:
@@ -233,7 +233,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
             if not self._waiting or (self._waiting[0].is_last_try and self._busy_workers):
                 return
             if slot.ready and slot.task is None:
-                slot.task, slot.busy = self._waiting.popleft(), 0.0
+                slot.task, slot.busy_seconds = self._waiting.popleft(), 0.0
                 try:
                     slot.worker.send(slot.task.job)
                 except OSError:

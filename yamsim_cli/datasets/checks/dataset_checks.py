@@ -15,6 +15,7 @@ from yamsim_cli.core.dataset.dataset_paths import (
     EPISODE_FILE,
     LEDGER_FILE,
     MANIFEST_FILE,
+    PROVENANCE_FILE,
     RECORDINGS_FOLDER,
     STAGING_FOLDER,
     episode_name,
@@ -24,7 +25,7 @@ from yamsim_cli.core.errors import DatasetError
 
 from .episode_facts import EpisodeFacts
 
-_LAYOUT_DIGITS = 6  # decimals of m and rad; independent samples never agree so closely
+_LAYOUT_DECIMALS = 6  # decimals of m and rad; independent samples never agree so closely
 _MAX_MANIFEST_BYTES = 2**30  # bytes, largest manifest that is read
 _PART_FILE_NAME = re.compile(r"\..+\.part")  # temporary file that a crash left
 
@@ -48,13 +49,13 @@ def check_dataset(
         listed, differing = check_manifest(dataset, numbers, problems) if episodes or attempts else (set(), [])
         logged = {attempt.episode for attempt in attempts if attempt.episode is not None}
         found += differing + _find_missing_episodes(set(numbers), listed | logged)
-        _note_leftovers(dataset, {episode.name for episode in episodes}, problems)
+        _report_interrupted_writes(dataset, {episode.name for episode in episodes}, problems)
     else:
         if not context.real:
             problems.add("dataset.plain")
-        _note_missing_numbers([episode.name for episode in episodes], problems)
+        _report_missing_numbers([episode.name for episode in episodes], problems)
     found += _find_duplicate_episodes(episodes)
-    _note_mixed_settings(episodes, problems)
+    _report_mixed_settings(episodes, problems)
     return found
 
 
@@ -77,7 +78,7 @@ def _find_missing_episodes(present: set[int], listed: set[int]) -> list[DatasetP
     return found
 
 
-def _note_missing_numbers(names: Sequence[str], problems: ProblemCollector) -> None:
+def _report_missing_numbers(names: Sequence[str], problems: ProblemCollector) -> None:
     """Report gaps if all directory names consist of the same word and a number."""
     matches = [re.fullmatch(r"(.*?)([0-9]{1,18})", name) for name in names]
     parts = [(match[1], int(match[2])) for match in matches if match]
@@ -98,7 +99,7 @@ def _find_duplicate_episodes(episodes: Sequence[EpisodeFacts]) -> list[DatasetPr
     for episode in episodes:
         own = ProblemCollector(episode.name)
         places = tuple(
-            sorted((name, tuple(round(v, _LAYOUT_DIGITS) for v in place)) for name, place in episode.layout.items())
+            sorted((name, tuple(round(v, _LAYOUT_DECIMALS) for v in place)) for name, place in episode.layout.items())
         )
         if episode.content and episode.content in contents:
             own.add("episode.duplicate", "", f"every value equals that of {contents[episode.content]}")
@@ -110,28 +111,28 @@ def _find_duplicate_episodes(episodes: Sequence[EpisodeFacts]) -> list[DatasetPr
     return found
 
 
-def _note_mixed_settings(episodes: Sequence[EpisodeFacts], problems: ProblemCollector) -> None:
+def _report_mixed_settings(episodes: Sequence[EpisodeFacts], problems: ProblemCollector) -> None:
     cameras = (", ".join(f"{name} {w}x{h}" for name, (w, h) in sorted(e.cameras.items())) for e in episodes)
-    _note_differences("cameras", (text for text in cameras if text), problems)
+    _report_differing_settings("cameras", (text for text in cameras if text), problems)
     records = [episode.record for episode in episodes if episode.record]
     for key in ("source", "rig", "scene", "task", "grasp", "frame_period_s", "renderer"):
-        _note_differences(key, (str(getattr(record, key)) for record in records), problems)
+        _report_differing_settings(key, (str(getattr(record, key)) for record in records), problems)
     drawn = [record.meshes for record in records]
     for name in sorted({name for meshes in drawn if meshes for name in meshes}):
-        _note_differences(
+        _report_differing_settings(
             f"meshes {name}", ("not told" if m is None else describe_mesh_content(m.get(name)) for m in drawn), problems
         )
     for package in sorted({package for record in records for package in record.versions}):
-        _note_differences(package, (record.versions.get(package, "none") for record in records), problems)
+        _report_differing_settings(package, (record.versions.get(package, "none") for record in records), problems)
 
 
-def _note_differences(what: str, values: Iterable[str], problems: ProblemCollector) -> None:
+def _report_differing_settings(what: str, values: Iterable[str], problems: ProblemCollector) -> None:
     counts = Counter(values)
     if len(counts) > 1:
         problems.add("dataset.mixed", "", f"{what}: " + "; ".join(f"{n} x {text}" for text, n in counts.most_common()))
 
 
-def _note_leftovers(dataset: Path, known: set[str], problems: ProblemCollector) -> None:
+def _report_interrupted_writes(dataset: Path, known: set[str], problems: ProblemCollector) -> None:
     for path in sorted(dataset.iterdir()):
         if path.name in (STAGING_FOLDER, RECORDINGS_FOLDER):
             for staged in sorted(path.glob("*")):
@@ -175,6 +176,8 @@ def compare_ledger(
 ) -> list[DatasetProblem]:
     """Return faults of episodes that differ from the ledger. Add faults of the ledger itself to `problems`."""
     recorded = [episode for episode in episodes if episode.record]
+    if (dataset / PROVENANCE_FILE).is_file():
+        return []  # a dataset made from others has only some attempts of its sources, and no ledger
     if not (dataset / LEDGER_FILE).is_file():
         if recorded:
             problems.add("ledger.missing", LEDGER_FILE)

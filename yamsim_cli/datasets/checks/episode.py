@@ -9,7 +9,7 @@ import numpy as np
 from yamsim_cli.core.dataset.checks.context import CheckContext, EpisodeDirectory
 from yamsim_cli.core.dataset.checks.lowdim import LowdimChecks, recorded_specs
 from yamsim_cli.core.dataset.checks.motion import (
-    TIMESTAMPS,
+    TIMESTAMPS_FILE,
     angles_by_camera,
     check_fingers,
     check_intrinsics,
@@ -96,13 +96,13 @@ class _EpisodeCheck:
                 name: [self._files.images[name][k] for k in sorted(checks.fingerprints)]
                 for name, checks in cameras.items()
             },
-            starts=object_positions(lowdim.values, self._context, last=False),
-            ends=object_positions(lowdim.values, self._context, last=True),
+            start_positions=object_positions(lowdim.values, self._context, last=False),
+            end_positions=object_positions(lowdim.values, self._context, last=True),
             layout=initial_layout(lowdim.values, self._record),
             outcome=self._record.outcome if self._record else outcome,
             content=self._content,
             problems=self._problems.all_problems(),
-            noted=self._imported.problems if self._imported else (),
+            import_faults=self._imported.problems if self._imported else (),
         )
 
     def _read_episode_file(self, name: str) -> bytes | None:
@@ -117,7 +117,7 @@ class _EpisodeCheck:
             return
         self._record_sha256 = sha256_bytes(text)
         try:
-            self._record = _require_sane(from_json(EpisodeRecord, text, EPISODE_FILE))
+            self._record = _require_plausible_record(from_json(EpisodeRecord, text, EPISODE_FILE))
         except DatasetError as error:
             self._problems.add("record.damaged", EPISODE_FILE, str(error).removeprefix(f"{EPISODE_FILE}: "))
             return
@@ -190,7 +190,7 @@ class _EpisodeCheck:
         if record is None or not record.truth:
             return
         checks = TruthChecks(record, self._reader, self._read_episode_file, self._hash_fits, self._problems)
-        checks.check_missing(self._files.sizes)
+        checks.check_missing_files(self._files.sizes)
         for camera in record.cameras:
             checks.check_arrays(camera)
             for _, name in sorted(self._files.truth["depth"].get(camera, {}).items()):
@@ -217,7 +217,7 @@ class _EpisodeCheck:
     def _capture_times(self) -> dict[int, float]:
         """Return frame number -> time in s, from the first camera that has a file of capture times."""
         for camera, names in sorted(self._files.images.items()):
-            name = f"rgb/{camera}/{TIMESTAMPS}"
+            name = f"rgb/{camera}/{TIMESTAMPS_FILE}"
             data = self._read_episode_file(name) if name in self._files.others else None
             times = read_timestamps(data) if data is not None else None
             if times and len(times) != len(names):
@@ -258,7 +258,7 @@ class _EpisodeCheck:
             self._problems.add("episode.outcome", EPISODE_FILE, value, f"{seen * 1000:.1f} mm")
 
 
-def _require_sane(record: EpisodeRecord) -> EpisodeRecord:
+def _require_plausible_record(record: EpisodeRecord) -> EpisodeRecord:
     if record.frames < 1 or record.frame_period_s <= 0:
         raise DatasetError(f"frames: {record.frames}, frame_period_s: {record.frame_period_s}: both must be above 0")
     for camera, (width, height) in record.cameras.items():

@@ -16,7 +16,7 @@ from yamsim_cli.core.geometry.se3 import Array, yaw
 Values = Mapping[int, Mapping[str, Any]]
 
 POSE_SUFFIX = "_pose"  # end of the keys of poses
-_HAND = "ee_pose"
+_HAND_POSE_KEY = "ee_pose"
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ class EpisodeFacts:
         seconds: time from the first frame to the last; None if unknown.
         cameras: camera -> (width, height), px.
         images: camera -> paths of decodable images, relative to the episode, in order.
-        starts, ends: object -> (x, y) in `world` in the first and in the last frame, m.
+        start_positions, end_positions: object -> (x, y) in `world` in the first and in the last frame, m.
         layout: object -> initial pose as recorded, or else (x, y, z, yaw) in the robot base; m and rad.
         outcome: as recorded, or else derived from the last frame; None without either.
         content: hash of the lowdim values; "" if a frame is unreadable.
-        noted: faults that the import of a real recording found, one sentence each.
+        import_faults: faults that the import of a real recording found, one sentence each.
     """
 
     name: str
@@ -45,13 +45,13 @@ class EpisodeFacts:
     seconds: float | None = None
     cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     images: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    starts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    start_positions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    end_positions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     layout: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     outcome: OutcomeRecord | None = None
     content: str = ""
     problems: Sequence[DatasetProblem] = ()
-    noted: Sequence[str] = ()
+    import_faults: Sequence[str] = ()
 
 
 def values_by_frame(values: Values, key: str) -> dict[int, Array]:
@@ -71,14 +71,14 @@ def rigid_poses(values: Values) -> dict[str, dict[int, Array]]:
         if key.endswith(POSE_SUFFIX) or key.startswith("extrinsics[") or key == RIGHT_IN_LEFT_BASE_KEY
     ]
     found = {key: values_by_frame(values, key) for key in named}
-    poses = {key: by_frame for key, by_frame in found.items() if _have_shape(by_frame, (4, 4))}
-    hands = found.get(_HAND, {})
-    if hands and _have_shape(hands, (2, 4, 4)):
-        poses |= {f"{_HAND}[{arm}]": {k: T[arm] for k, T in hands.items()} for arm in range(2)}
+    poses = {key: by_frame for key, by_frame in found.items() if _frames_have_shape(by_frame, (4, 4))}
+    hands = found.get(_HAND_POSE_KEY, {})
+    if hands and _frames_have_shape(hands, (2, 4, 4)):
+        poses |= {f"{_HAND_POSE_KEY}[{arm}]": {k: T[arm] for k, T in hands.items()} for arm in range(2)}
     return poses
 
 
-def _have_shape(by_frame: Mapping[int, Array], shape: tuple[int, ...]) -> bool:
+def _frames_have_shape(by_frame: Mapping[int, Array], shape: tuple[int, ...]) -> bool:
     return all(np.shape(value) == shape for value in by_frame.values())
 
 
@@ -87,7 +87,7 @@ def object_poses(values: Values, frame: int) -> dict[str, Array]:
     return {
         key.removesuffix(POSE_SUFFIX): np.asarray(by_frame[frame], dtype=np.float64)
         for key, by_frame in rigid_poses(values).items()
-        if key.endswith(POSE_SUFFIX) and key != _HAND and frame in by_frame
+        if key.endswith(POSE_SUFFIX) and key != _HAND_POSE_KEY and frame in by_frame
     }
 
 

@@ -27,8 +27,8 @@ _BLACK_BRIGHTNESS = 16.0  # 0 to 255, largest brightness of a black image
 _MIN_FROZEN_RUN = 3  # images
 _MIN_FROZEN_MOTION = 0.02  # rad; images of a slower arm may be equal
 
-HashCheck = Callable[[str, bytes], object]  # gets path and content of a file, and reports a wrong hash
-Read = Callable[[str], bytes | None]  # path of a file -> content, or None
+CheckFileHash = Callable[[str, bytes], object]  # gets path and content of a file, and reports a wrong hash
+ReadFileFunction = Callable[[str], bytes | None]  # path of a file -> content, or None
 
 
 class ImageReader(Protocol):
@@ -51,7 +51,7 @@ class CameraChecks:
     """Checks the images of one camera, one by one.
 
     Args:
-        size: expected (width, height); None expects that of the first image.
+        size: expected (width, height); None expects the first image's size.
     """
 
     def __init__(
@@ -136,7 +136,12 @@ class TruthChecks:
     """Checks the ground truth of one episode against its `record`."""
 
     def __init__(
-        self, record: EpisodeRecord, reader: ImageReader, read: Read, hash_fits: HashCheck, problems: ProblemCollector
+        self,
+        record: EpisodeRecord,
+        reader: ImageReader,
+        read: ReadFileFunction,
+        hash_fits: CheckFileHash,
+        problems: ProblemCollector,
     ) -> None:
         self._record = record
         self._reader = reader
@@ -163,7 +168,7 @@ class TruthChecks:
             )
         return labels
 
-    def check_missing(self, present: Mapping[str, int]) -> None:
+    def check_missing_files(self, present: Mapping[str, int]) -> None:
         """Report ground truth files that are neither in `present` (path -> bytes) nor in the record."""
         for name in (TRUTH_LABELS_FILE, *map(truth_path, self._record.cameras)):
             if name not in present and name not in self._record.files:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from yamsim_cli.core.markup import (
-    Child,
+    HtmlChild,
     Markup,
     captioned_jpeg,
     html_page,
@@ -18,11 +18,14 @@ from yamsim_cli.core.markup import (
 )
 
 # Caption and JPEG of each picture.
-Pictures = Sequence[tuple[str, bytes]]
+CaptionedPictures = Sequence[tuple[str, bytes]]
 
 
 def certificate_page(
-    found: Mapping[str, Any], titles: Mapping[str, tuple[str, str]], pictures: Mapping[str, Pictures], made: str
+    found: Mapping[str, Any],
+    titles: Mapping[str, tuple[str, str]],
+    pictures: Mapping[str, CaptionedPictures],
+    made: str,
 ) -> str:
     """Return a certificate's HTML page.
 
@@ -56,10 +59,10 @@ def _certificate_verdict(failed: int, skipped: int) -> Markup:
     return verdict_sentence("All checks passed.", "fine")
 
 
-def _check_section(check: Mapping[str, Any], texts: tuple[str, str], pictures: Pictures) -> Markup:
+def _check_section(check: Mapping[str, Any], texts: tuple[str, str], pictures: CaptionedPictures) -> Markup:
     title, advice = texts
     word, kind = {True: ("passed", "fine"), False: ("failed", "error"), None: ("not checked", "warning")}[check["ok"]]
-    content: list[Child] = [html_tag("p", html_tag("code", check["code"], class_=kind), f" {word}", class_="note")]
+    content: list[HtmlChild] = [html_tag("p", html_tag("code", check["code"], class_=kind), f" {word}", class_="note")]
     if check["ok"] is False:
         content.append(html_tag("p", f"{title}: {check['note']}. What to do: {advice}."))
     elif check["note"]:

@@ -13,12 +13,12 @@ from yamsim_cli.core.files.resources import Locations
 from . import grasp_check as grasp
 from . import physics_checks as physics
 from . import static_checks as static
-from .check_outcome import CheckOutcome, skipped_check
+from .check_outcome import CheckOutcome, skipped_outcome
 from .static_checks import collision_kinds
 from .tested_object import TestedObject, read_tested_object
 
 # Called with the completed checks, their total, and the next check's code.
-CheckDone = Callable[[int, int, str], None]
+CheckProgress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def run_object_checks(
     item: ObjectConfig,
     meshes: Mapping[str, Path | None],
     locations: Locations,
-    progress: CheckDone = lambda done, total, code: None,
+    progress: CheckProgress = lambda done, total, code: None,
 ) -> CertificationResult:
     """Run every check of an object.
 
@@ -132,7 +132,7 @@ def run_object_checks(
         progress(number, len(CHECKS), code)
         failed = [other for other in check.needed_checks if outcomes[other].ok is False]
         if failed:
-            outcomes[code] = skipped_check(f"needs {', '.join(failed)} to pass first")
+            outcomes[code] = skipped_outcome(f"needs {', '.join(failed)} to pass first")
         else:
             outcomes[code] = check.run_check(subject)
     return CertificationResult(subject, outcomes)

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.scene.objects.object_geoms import HIDDEN_GROUP, SEEN_GROUP
+from yamsim_cli.core.scene.objects.object_geoms import HIDDEN_GROUP, VISIBLE_GROUP
 
 from .tested_object import TestedObject, add_view_camera, compile_or_raise, object_spec
 
@@ -44,7 +44,7 @@ class CheckOutcome:
     views: tuple[CheckView, ...] = ()
 
 
-def skipped_check(why: str) -> CheckOutcome:
+def skipped_outcome(why: str) -> CheckOutcome:
     """Return the outcome of a check that cannot run."""
     return CheckOutcome(None, note=why)
 
@@ -63,7 +63,7 @@ def collision_view(tested_object: TestedObject) -> CheckView:
     """Return a view of the collision geoms."""
     view = _initial_view(_scene_spec(tested_object, 0.75), "collision parts")
     touches = (view.model.geom_contype > 0) | (view.model.geom_conaffinity > 0)
-    view.model.geom_group[:] = np.where(touches, SEEN_GROUP, HIDDEN_GROUP)
+    view.model.geom_group[:] = np.where(touches, VISIBLE_GROUP, HIDDEN_GROUP)
     return view
 
 
@@ -79,7 +79,7 @@ def inertia_view(tested_object: TestedObject, *, block: bool) -> CheckView:
     kind = mujoco.mjtGeom.mjGEOM_BOX if block else mujoco.mjtGeom.mjGEOM_SPHERE
     spec.body(tested_object.item.name).add_geom(
         type=kind, size=size, pos=inertia.centre, quat=np.array(inertia.quat) / np.linalg.norm(inertia.quat),
-        rgba=_MARKER_RGBA, contype=0, conaffinity=0, mass=0, group=SEEN_GROUP, name="certificate_mark",
+        rgba=_MARKER_RGBA, contype=0, conaffinity=0, mass=0, group=VISIBLE_GROUP, name="certificate_mark",
     )  # fmt: skip
     for material in spec.materials:
         material.rgba = (*material.rgba[:3], _OBJECT_OPACITY)

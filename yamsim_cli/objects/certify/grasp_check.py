@@ -29,7 +29,7 @@ from yamsim_cli.core.scene.compilation import physics_failure
 from yamsim_cli.core.scene.compose import set_friction_cones
 from yamsim_cli.objects.certify.single_object_pick import PICK_RIG, PickedGrasp, simulate_pick
 
-from .check_outcome import CheckOutcome, CheckView, round_significant, skipped_check
+from .check_outcome import CheckOutcome, CheckView, round_significant, skipped_outcome
 from .tested_object import TestedObject, add_view_camera, compile_or_raise, object_spec, step_seconds
 
 _CLOSE_TIME, _LIFT_TIME, _TURN_TIME, _SHAKE_TIME = 0.8, 0.8, 1.6, 1.0  # s
@@ -48,15 +48,15 @@ def check_grasp(tested_object: TestedObject) -> CheckOutcome:
     """Run `pick`, and check that two finger pads hold the object by the resulting grasp."""
     item = tested_object.item
     if item.links or item.base == "fixed":
-        return skipped_check("it is not lifted but opened, by its handles")
+        return skipped_outcome("it is not lifted but opened, by its handles")
     if item.grasp is None or item.grasp.friction is None:
-        return skipped_check("its config has no grasp by friction")
+        return skipped_outcome("its config has no grasp by friction")
     friction = item.grasp.friction
     if friction.hands > 1:
-        return skipped_check("its grasp needs two hands, and this check has one")
+        return skipped_outcome("its grasp needs two hands, and this check has one")
     widest = _full_opening(tested_object.locations)
     if all(point.opening >= widest for point in friction.points):
-        return skipped_check(
+        return skipped_outcome(
             f"{2000 * item.grasp.opening:.4g} mm wide, but the gripper opens by at most {2000 * widest:.4g} mm"
         )
     try:
@@ -81,12 +81,12 @@ def _check_hold(hand: _GripperRig, taken: PickedGrasp, clearance: float) -> Chec
     hand.run(_CLOSE_TIME / 2)
     hand.model.opt.gravity[:] = gravity
     held = hand.T_thing_in_pinch
-    slips = [_move_along(hand, T, held, np.linspace(0, 1, round(_LIFT_TIME / _COMMAND_PERIOD)), _lift_pose)]
+    slips = [_move_along(hand, T, held, np.linspace(0, 1, round(_LIFT_TIME / _COMMAND_PERIOD)), _lifted_pose)]
     views = [CheckView(hand.model, hand.data.qpos.copy(), "lifted")]
     swing = np.sin(np.linspace(0, np.pi, round(_TURN_TIME / _COMMAND_PERIOD)))
-    slips += [_move_along(hand, T, held, swing, functools.partial(_turn_pose, axis=axis)) for axis in (0, 1)]
+    slips += [_move_along(hand, T, held, swing, functools.partial(_turned_pose, axis=axis)) for axis in (0, 1)]
     times = np.linspace(0, _SHAKE_TIME, round(_SHAKE_TIME / _COMMAND_PERIOD))
-    slips += [_move_along(hand, T, held, times, functools.partial(_shake_pose, axis=axis)) for axis in range(3)]
+    slips += [_move_along(hand, T, held, times, functools.partial(_shaken_pose, axis=axis)) for axis in range(3)]
     views.append(CheckView(hand.model, hand.data.qpos.copy(), "after turning and shaking"))
     moved, turned = (max(each[k] for each in slips) for k in (0, 1))
     fault = ""
@@ -118,15 +118,15 @@ def _move_along(
     return most
 
 
-def _lift_pose(T: Array, share: float) -> Array:
+def _lifted_pose(T: Array, share: float) -> Array:
     return pose((0, 0, _LIFT_HEIGHT * share)) @ T
 
 
-def _turn_pose(T: Array, share: float, axis: int) -> Array:
+def _turned_pose(T: Array, share: float, axis: int) -> Array:
     return pose((0, 0, _LIFT_HEIGHT)) @ T @ pose((0, 0, 0), rotation_from_vector(_TURN_ANGLE * share * np.eye(3)[axis]))
 
 
-def _shake_pose(T: Array, time: float, axis: int) -> Array:
+def _shaken_pose(T: Array, time: float, axis: int) -> Array:
     by = _SHAKE_AMPLITUDE * np.sin(2 * np.pi * _SHAKE_RATE * time) * np.eye(3)[axis]
     return pose(np.array([0, 0, _LIFT_HEIGHT]) + by) @ T
 

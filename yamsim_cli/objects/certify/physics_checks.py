@@ -13,8 +13,8 @@ from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation, rotati
 from yamsim_cli.core.geometry.stable_poses import StablePose, stable_poses
 from yamsim_cli.core.scene.compilation import physics_failure
 
-from .check_outcome import CheckOutcome, CheckView, round_significant, skipped_check
-from .static_checks import NO_MESHES
+from .check_outcome import CheckOutcome, CheckView, round_significant, skipped_outcome
+from .static_checks import NO_MESHES_NOTE
 from .tested_object import (
     TestedObject,
     add_view_camera,
@@ -32,7 +32,7 @@ _DROP_HEIGHT, _DROP_COUNT = 0.10, 8  # m, height from which the object falls; nu
 _MAX_PENETRATION = 0.05  # m, limit at impact: half the slab's thickness; deeper objects come out on its underside
 _MAX_ENERGY_GAIN, _MIN_FALL_ENERGY = 0.02, 1e-4  # limit, as a share of the fall's energy; J, least value of that energy
 _REST_SPEED = 0.0002  # m/s; slower objects are at rest, if they also turn at less than ten times this number in rad/s
-_FIXED_NOTE = "its base is fixed, so it has no other pose"
+_FIXED_BASE_NOTE = "its base is fixed, so it has no other pose"
 
 _HEIGHT_MAP_CELLS = 56  # columns of the height map along the longer side
 _MIN_DEPTH, _MIN_ROOM = 0.010, 0.0045  # m, of a hollow: depth, and distance to its walls
@@ -45,9 +45,9 @@ _MAX_BALL_HEIGHT = 0.5  # gap between resting ball and floor, as a share of the 
 _BALL_DENSITY = 1000.0  # kg/m3
 
 _PUSH_TIME, _REST_TIME = 4.0, 3.0  # s, of a push to a limit, and to come to rest
-_END_TOLERANCE = 0.03  # share of the range that a push may miss
+_RANGE_END_TOLERANCE = 0.03  # share of the range that a push may miss
 _JOINT_REST_SPEED = 0.02  # joint ranges per s
-_EFFORT_FACTOR = 3.0  # effort of a push over the sum of friction, detent and weight
+_PUSH_EFFORT_FACTOR = 3.0  # effort of a push over the sum of friction, detent and weight
 _MIN_EFFORT = {True: 0.02, False: 1.0}  # N m on a rotary joint (True), N on a slide
 _PUSH_FREQUENCY = 6.0  # Hz, of the controller that pushes a joint
 
@@ -109,7 +109,7 @@ class _TestScene:
 def check_rest(tested_object: TestedObject) -> CheckOutcome:
     """Check rest in the initial pose and on each stable face."""
     if tested_object.item.base == "fixed":
-        return skipped_check(_FIXED_NOTE)
+        return skipped_outcome(_FIXED_BASE_NOTE)
     world = _TestScene.for_object(tested_object)
     upright = StablePose(np.array([0.0, 0.0, -1.0]), 0.0, 1.0)
     others = stable_poses(tested_object.collision_points, np.array(tested_object.item.inertia.centre))
@@ -158,7 +158,7 @@ def _measure_rest(world: _TestScene, face: StablePose, *, must_stay: bool) -> di
 def check_drop(tested_object: TestedObject) -> CheckOutcome:
     """Check that 10 cm falls in random orientations end over the ground, without energy gain."""
     if tested_object.item.base == "fixed":
-        return skipped_check(_FIXED_NOTE)
+        return skipped_outcome(_FIXED_BASE_NOTE)
     world = _TestScene.for_object(tested_object)
     rng = np.random.default_rng(0)
     deepest, gained, speed = 0.0, 0.0, 0.0
@@ -224,7 +224,7 @@ class Hollow:
     water_columns: Array
 
 
-def find_hollow(tested_object: TestedObject) -> Hollow | None:
+def find_deepest_hollow(tested_object: TestedObject) -> Hollow | None:
     """Return the deepest hollow in the initial pose; None if too shallow, small or narrow."""
     grid = compute_height_map(tested_object.merged_visual_surface, _HEIGHT_MAP_CELLS)
     level = water_level(grid.top)
@@ -253,10 +253,10 @@ def find_hollow(tested_object: TestedObject) -> Hollow | None:
 def check_hollow(tested_object: TestedObject) -> CheckOutcome:
     """Check that a ball dropped into the hollow rests inside."""
     if not tested_object.visual_surfaces:
-        return skipped_check(NO_MESHES)
-    found = find_hollow(tested_object)
+        return skipped_outcome(NO_MESHES_NOTE)
+    found = find_deepest_hollow(tested_object)
     if found is None:
-        return skipped_check("it has no interior that can hold a ball")
+        return skipped_outcome("it has no interior that can hold a ball")
     radius = min(0.7 * found.wall_distance, _MAX_BALL_RADIUS)
     spec = add_view_camera(
         object_on_ground_spec(tested_object),
@@ -305,7 +305,7 @@ def check_articulation(tested_object: TestedObject) -> CheckOutcome:
     """Check that joints move from limit to limit, and come to rest."""
     links = tested_object.item.links
     if not links:
-        return skipped_check("it has no joint")
+        return skipped_outcome("it has no joint")
     spec = object_spec(tested_object.item, tested_object.meshes, fixed=True)
     model = compile_or_raise(
         add_view_camera(spec, (0, 0, tested_object.bounding_diagonal * 0.2), tested_object.bounding_diagonal)
@@ -316,12 +316,12 @@ def check_articulation(tested_object: TestedObject) -> CheckOutcome:
     for link in links:
         name = f"{tested_object.item.name}_{link.name}"
         for end in (1, 0):
-            missing = _missing_range(model, data, link, name, end)
+            missing = _unreached_range_share(model, data, link, name, end)
             which = "upper" if end else "lower"
             reached[f"{link.name}_{which}_missing"] = round_significant(missing, 3)
             if end:
                 views.append(CheckView(model, data.qpos.copy(), f"{link.name} at its upper limit"))
-            if missing > _END_TOLERANCE:
+            if missing > _RANGE_END_TOLERANCE:
                 faults.append(f"{link.name} stops {missing * 100:.3g} % of its range before its {which} limit")
         data.qfrc_applied[:] = 0
         step_seconds(model, data, _REST_TIME)
@@ -333,7 +333,7 @@ def check_articulation(tested_object: TestedObject) -> CheckOutcome:
     return CheckOutcome(not faults, figures, "; ".join(faults), tuple(views))
 
 
-def _missing_range(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name: str, end: int) -> float:
+def _unreached_range_share(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name: str, end: int) -> float:
     """Push a joint to its lower (`end` 0) or upper limit (1); return the missed share of its range."""
     mujoco.mj_resetData(model, data)
     mujoco.mj_forward(model, data)
@@ -360,4 +360,4 @@ def _push_effort(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name: s
         reach = float(np.linalg.norm(model.geom_pos[model.geom_bodyid == body], axis=1).max(initial=0.02)) + 0.02
         weight *= reach
     detent_effort = max((detent.effort for detent in joint.detents), default=0.0)
-    return max(_EFFORT_FACTOR * (joint.friction + detent_effort + weight), _MIN_EFFORT[joint.is_revolute])
+    return max(_PUSH_EFFORT_FACTOR * (joint.friction + detent_effort + weight), _MIN_EFFORT[joint.is_revolute])

@@ -14,7 +14,7 @@ from yamsim_cli.core.config.goals.role_assignment import RoleAssignment
 from yamsim_cli.core.config.goals.world import TABLE
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.objects.object_config import GraspPoint, ObjectConfig
-from yamsim_cli.core.config.program_task import PROGRAM, ProgramTask
+from yamsim_cli.core.config.program_task import PROGRAM_KIND, ProgramTask
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.rig import RigConfig
@@ -41,7 +41,7 @@ PICK_RIG = "single_linear"
 _ROLE = "thing"
 _POSITION = (0.33, 0.15)  # m, in `world`: within reach, beside the hand's start
 _HEADINGS = (0.0, 90.0)  # degrees; the second if `pick` fails at the first
-_JOB = AttemptJob(0, 0)  # every run gives the same result
+_FIXED_JOB = AttemptJob(0, 0)  # every run gives the same result
 
 
 @dataclass(frozen=True)
@@ -116,11 +116,11 @@ def _pick_setup(item: ObjectConfig, locations: Locations, heading: float) -> Ite
     task = session.config.task
     with Simulator(session) as simulator:
         roles = simulator.roles
-        attempt = sample_attempt(simulator, _JOB)
+        attempt = sample_attempt(simulator, _FIXED_JOB)
         if attempt.start is None:
             raise SkillFailedError(FailureCause.NO_LAYOUT, describe_missing_start(simulator, attempt))
         episode = open_episode(simulator, attempt, EpisodeRules())
-        postures, rng = list(start_postures(session.config)), random_generator(_JOB, Stream.SEARCH)
+        postures, rng = list(start_postures(session.config)), random_generator(_FIXED_JOB, Stream.PLANNING)
         context = simulator.expert_planner.planning_context(episode.world, postures, rng)
         yield _PickSetup(simulator.scene, episode, context, build_program(task, roles), roles)
 
@@ -138,7 +138,7 @@ def _pick_config(item: ObjectConfig, locations: Locations, heading: float) -> Re
     task = ProgramTask.model_validate(
         {
             "name": "take",
-            "kind": PROGRAM,
+            "kind": PROGRAM_KIND,
             "rig": PICK_RIG,
             "things": {_ROLE: {"of": (item,)}},
             "starts": {_ROLE: {"x": (x, x), "y": (y, y), "yaw_deg": (heading, heading)}},
@@ -153,7 +153,7 @@ def _pick_config(item: ObjectConfig, locations: Locations, heading: float) -> Re
             "scene": load_config(SceneConfig, "scenes", "tabletop", locations),
             "task": task,
             "grasp": "contact",
-            "seed": _JOB.seed,
+            "seed": _FIXED_JOB.seed,
             "wrist": False,
             "image": {"size_px": (64, 48), "jpeg_quality": 85},
             "render": load_config(RenderConfig, "quality", "fast", locations),

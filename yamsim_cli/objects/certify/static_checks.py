@@ -19,10 +19,10 @@ from yamsim_cli.core.geometry.surface_distance import sample_surface
 from yamsim_cli.core.scene.objects.object_geoms import read_asset_file
 
 from ..primitives import signed_distance
-from .check_outcome import CheckOutcome, collision_view, inertia_view, object_view, round_significant, skipped_check
+from .check_outcome import CheckOutcome, collision_view, inertia_view, object_view, round_significant, skipped_outcome
 from .tested_object import TestedObject
 
-NO_MESHES = "its meshes are not installed: run `yamsim assets fetch`"
+NO_MESHES_NOTE = "its meshes are not installed: run `yamsim assets fetch`"
 
 _PLAUSIBLE_SIZES = (0.002, 1.5)  # m, length of an object on a table
 _MAX_OPEN_SHARE = 1e-3  # of all edges; scans have some where patches meet
@@ -53,7 +53,7 @@ def check_size(tested_object: TestedObject) -> CheckOutcome:
 def check_closed(tested_object: TestedObject) -> CheckOutcome:
     """Check that visual surfaces have almost no open edges."""
     if not tested_object.visual_surfaces:
-        return skipped_check(NO_MESHES)
+        return skipped_outcome(NO_MESHES_NOTE)
     edges = sum(3 * len(faces) // 2 for _, faces in tested_object.visual_surfaces)
     open_ = sum(count_open_edges(faces) for _, faces in tested_object.visual_surfaces)
     allowed = _MAX_OPEN_SHARE * edges
@@ -65,7 +65,7 @@ def check_closed(tested_object: TestedObject) -> CheckOutcome:
 def check_normals(tested_object: TestedObject) -> CheckOutcome:
     """Check that visual faces point outwards."""
     if not tested_object.visual_surfaces:
-        return skipped_check(NO_MESHES)
+        return skipped_outcome(NO_MESHES_NOTE)
     volumes = [uniform_mass_properties(*surface).volume for surface in tested_object.visual_surfaces]
     inside_out = sum(volume <= 0 for volume in volumes)
     note = "" if not inside_out else f"{inside_out} of {len(volumes)} surfaces are inside out"
@@ -77,7 +77,7 @@ def check_density(tested_object: TestedObject) -> CheckOutcome:
     """Check that mass over volume is a plausible density."""
     mass = tested_object.item.inertia.mass
     if not tested_object.visual_surfaces:
-        return CheckOutcome(None, {"mass_kg": round_significant(mass)}, NO_MESHES)
+        return CheckOutcome(None, {"mass_kg": round_significant(mass)}, NO_MESHES_NOTE)
     volume = sum(abs(uniform_mass_properties(*surface).volume) for surface in tested_object.visual_surfaces)
     found = mass / volume
     figures = {
@@ -143,10 +143,10 @@ def check_inertia(tested_object: TestedObject) -> CheckOutcome:
 def check_collision_geometry(tested_object: TestedObject) -> CheckOutcome:
     """Check that collision geoms match the visual surfaces in volume and position."""
     if not tested_object.visual_surfaces:
-        return skipped_check(NO_MESHES)
+        return skipped_outcome(NO_MESHES_NOTE)
     parts = tested_object.item.collision
     if any(isinstance(part, SdfPart) for part in parts):
-        return skipped_check("it collides by a distance field of its own surface")
+        return skipped_outcome("it collides by a distance field of its own surface")
     surface = tested_object.merged_visual_surface
     points = np.concatenate([surface[0], tested_object.collision_points])
     low, high = points.min(axis=0), points.max(axis=0)

@@ -19,10 +19,10 @@ from yamsim_cli.core.scene.assets import AssetStore, publish_user_set
 from yamsim_cli.objects.certify.single_object_pick import reachable_grasp_points
 
 from ..building import BuiltObject, ImportOptions, build_object
-from ..convex_decomposition import DECOMPOSITION_FOLDER, ReportShare
+from ..convex_decomposition import DECOMPOSITION_FOLDER, ShareCallback
 from ..readers.object_reader import UnitOptions, read_object
 
-_DIRECT_FOLDER = "imports"  # folder of `import_directly`'s configs, in the mesh folder
+_IMPORTED_CONFIG_FOLDER = "imports"  # folder of `import_with_defaults`'s configs, in the mesh folder
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def import_file(
     options: ImportOptions,
     locations: Locations,
     out: Path | None,
-    share: ReportShare = lambda done: None,
+    share: ShareCallback = lambda done: None,
 ) -> ImportedObjectFile:
     """Import an object file (mesh, SDF, URDF or MJCF) to `out`, by default `<name>.yaml` in the user's config folder.
 
@@ -63,10 +63,12 @@ def import_file(
     return ImportedObjectFile(path, config, made)
 
 
-def import_directly(file: Path, locations: Locations, share: ReportShare = lambda done: None) -> ImportedObjectFile:
+def import_with_defaults(
+    file: Path, locations: Locations, share: ShareCallback = lambda done: None
+) -> ImportedObjectFile:
     """Import a file by default options, its config beside the meshes. Raises `UsageError` or `ResourceError`."""
     config, made, yaml = _build_and_publish(file, UnitOptions(), ImportOptions(object_name_of(file)), locations, share)
-    path = locations.assets / _DIRECT_FOLDER / f"{config.name}-{sha256_bytes(yaml.encode())[:12]}.yaml"
+    path = locations.assets / _IMPORTED_CONFIG_FOLDER / f"{config.name}-{sha256_bytes(yaml.encode())[:12]}.yaml"
     if not path.exists():
         write_config(path, yaml)
     return ImportedObjectFile(path, config, made)
@@ -96,7 +98,7 @@ def write_config(path: Path, yaml: str) -> None:
 
 
 def _build_and_publish(
-    file: Path, units: UnitOptions, options: ImportOptions, locations: Locations, share: ReportShare
+    file: Path, units: UnitOptions, options: ImportOptions, locations: Locations, share: ShareCallback
 ) -> tuple[ObjectConfig, BuiltObject, str]:
     if file.suffix.lower() == ".stl":
         # STL states neither; most robot files are in metres, z up.

@@ -24,9 +24,9 @@ def import_if_file(name: str, locations: Locations, notify: Callable[[str], None
     """
     if Path(name).suffix.lower() not in OBJECT_SUFFIXES:
         return name
-    from .file_import import import_directly
+    from .file_import import import_with_defaults
 
-    imported = import_directly(Path(name), locations)
+    imported = import_with_defaults(Path(name), locations)
     if imported.built_object.mass_is_guessed:
         notify(
             f"{name}: its mass of {imported.built_object.mass * 1000:.3g} g is a guess; "

@@ -10,8 +10,8 @@ from typing import Any
 from yamsim_cli.core.files.untrusted.refusals import RefusedError
 
 # Bytes per component type, components per accessor type. Source: glTF 2.0 specification, section 3.6.2.2.
-_COMPONENTS = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
+_VALUES_PER_ELEMENT = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _PLY_BYTES = {
     **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
     **dict.fromkeys(("short", "ushort", "int16", "uint16"), 2),
@@ -123,7 +123,10 @@ def _check_accessors(tree: Any, binary: int | None, maximum: int) -> None:
         if view.get("byteOffset", 0) + view["byteLength"] > min(size, own + 3):
             raise RefusedError("damaged", "it has a buffer view beyond its buffer")
     for accessor in tree.get("accessors", []):
-        count, width = accessor["count"], _WIDTHS[accessor["type"]] * _COMPONENTS[accessor["componentType"]]
+        count, width = (
+            accessor["count"],
+            _VALUES_PER_ELEMENT[accessor["type"]] * _COMPONENT_BYTES[accessor["componentType"]],
+        )
         if count < 0 or count > 3 * maximum:
             raise _too_many_faces_error(maximum)
         if "bufferView" in accessor:

@@ -19,7 +19,7 @@ from yamsim_cli.core.geometry.stl import Faces, decode_stl, is_binary_stl
 
 from .mesh_headers import check_header
 from .object_parts import GREY, Rgba, Surface, SurfaceMaterial
-from .textures import bake_colours, encode_png_texture, open_image
+from .textures import bake_vertex_colours, encode_png_texture, open_image
 
 MAX_FACES = 2_000_000  # triangles; no scan needs more
 
@@ -190,7 +190,7 @@ def _surface_from_mesh(mesh: Any, T: Array) -> Surface | None:
     if colours is not None and (colours == colours[0]).all():
         material, colours = _clipped_rgba(colours[0] / 255), None
     if colours is not None:
-        uv, texture = bake_colours(vertices, triangles, colours)
+        uv, texture = bake_vertex_colours(vertices, triangles, colours)
         material = (1.0, 1.0, 1.0, 1.0)
     return Surface(vertices, triangles, SurfaceMaterial(material, texture), uv).transform(T)
 

@@ -37,8 +37,8 @@ from .untrusted_xml import Element, parse_untrusted_xml
 # They run foreign code, or multiply a file's content.
 _REFUSED_TAGS = ("plugin", "extension", "replicate", "composite", "flexcomp", "skin", "hfield", "attach")
 _FOLDERS = {"mesh": ("meshdir", "assetdir"), "texture": ("texturedir", "assetdir")}
-_MAX_BUILTIN = 4096  # px, side of a texture that MuJoCo generates
-_VIEW_GROUPS = 3  # geom groups that a viewer shows by default: 0, 1 and 2
+_MAX_BUILTIN_TEXTURE_PX = 4096  # px, side of a texture that MuJoCo generates
+_VISIBLE_GEOM_GROUPS = 3  # geom groups that a viewer shows by default: 0, 1 and 2
 _DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default, for which a geom takes its material's colour
 
 _SHAPE_KINDS = {
@@ -49,7 +49,7 @@ _SHAPE_KINDS = {
     mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid",
 }
 # Shape -> values in MuJoCo's `geom_size`.
-_SIZE_COUNTS = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
+_SIZE_VALUE_COUNTS = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
 
 
 def read_mjcf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
@@ -106,9 +106,10 @@ def _collect_files(root: Element, folder: ConfinedFolder, base: Path) -> dict[st
         if element.tag == "texture":
             for key in ("width", "height"):
                 text = element.get(key, "0")
-                if not text.strip().isdecimal() or int(text) > _MAX_BUILTIN:
+                if not text.strip().isdecimal() or int(text) > _MAX_BUILTIN_TEXTURE_PX:
                     raise RefusedError(
-                        "texture-too-large", f"a texture is {text} pixels wide or high; at most {_MAX_BUILTIN}"
+                        "texture-too-large",
+                        f"a texture is {text} pixels wide or high; at most {_MAX_BUILTIN_TEXTURE_PX}",
                     )
     return assets
 
@@ -144,7 +145,9 @@ def _describe_link(model: mujoco.MjModel, body: int, name: str, notes: list[str]
     geoms = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] == body]
     touches = [bool(model.geom_contype[geom] or model.geom_conaffinity[geom]) for geom in geoms]
     only_seen = [
-        geom for geom, touch in zip(geoms, touches, strict=True) if not touch and model.geom_group[geom] < _VIEW_GROUPS
+        geom
+        for geom, touch in zip(geoms, touches, strict=True)
+        if not touch and model.geom_group[geom] < _VISIBLE_GEOM_GROUPS
     ]
     for geom, touch in zip(geoms, touches, strict=True):
         T = pose_from_quat(model.geom_pos[geom], model.geom_quat[geom])
@@ -152,7 +155,7 @@ def _describe_link(model: mujoco.MjModel, body: int, name: str, notes: list[str]
         if kind is None and model.geom_dataid[geom] < 0:
             notes.append("left out: planes and other unbounded geometry")
             continue
-        size = model.geom_size[geom, : _SIZE_COUNTS[kind]].copy() if kind else np.zeros(0)
+        size = model.geom_size[geom, : _SIZE_VALUE_COUNTS[kind]].copy() if kind else np.zeros(0)
         if geom in only_seen or not only_seen:
             surface = primitive_surface(kind, size, _geom_material(model, geom)) if kind else _mesh_surface(model, geom)
             link.visual_surfaces.append(surface.transform(T))

@@ -15,7 +15,7 @@ from yamsim_cli.core.files.untrusted.confined_folder import MAX_BYTES
 from yamsim_cli.core.files.untrusted.refusals import RefusedError
 from yamsim_cli.core.files.writing import scratch_directory
 from yamsim_cli.core.geometry.se3 import Array, pose
-from yamsim_cli.core.scene.assets.child_process import python_call, run_child
+from yamsim_cli.core.scene.assets.child_process import python_call_command, run_child
 from yamsim_cli.core.scene.assets.sources import SourceError
 
 from . import OBJECT_SUFFIXES, reader_process
@@ -25,10 +25,10 @@ from .reader_process import REFUSAL_FILE, read_written_object
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # unit -> m
 
 _MAX_SIZE, _MIN_SIZE = 2.0, 0.003  # m, of objects that an arm can handle
-_LIKELY_SIZES = (0.01, 0.8)  # m; the error for a missing unit suggests units that give these sizes
+_PLAUSIBLE_SIZES = (0.01, 0.8)  # m; the error for a missing unit suggests units that give these sizes
 _CPU_SECONDS, _CPU_SECONDS_PER_MB = 15.0, 0.7  # s of CPU time, and per megabyte of the file
 _WALL_CLOCK_FACTOR = 4.0  # elapsed over CPU time, for a busy machine
-_PACKAGES = ("trimesh", "PIL", "defusedxml", "collada")  # of the extra `import`; binary STL needs none
+_IMPORT_EXTRA_PACKAGES = ("trimesh", "PIL", "defusedxml", "collada")  # of the extra `import`; binary STL needs none
 
 
 @dataclass(frozen=True)
@@ -48,14 +48,14 @@ def read_object(path: Path, units: UnitOptions) -> ObjectDescription:
         ResourceError: the file is refused, with one of `untrusted.refusals.CODES`; or the extra is not installed.
     """
     try:
-        return convert_to_metres(_read_as_is(path), units)
+        return convert_to_metres(_read_in_file_units(path), units)
     except RefusedError as error:
         kind = UsageError if error.code in ("unit", "up", "size") else ResourceError
         raise kind(f"{path}: {error} [{error.code}]") from error
 
 
-def _read_as_is(path: Path) -> ObjectDescription:
-    missing = [name for name in _PACKAGES if find_spec(name) is None]
+def _read_in_file_units(path: Path) -> ObjectDescription:
+    missing = [name for name in _IMPORT_EXTRA_PACKAGES if find_spec(name) is None]
     if missing and path.suffix.lower() != ".stl":
         raise ResourceError(f"reading {path.name} needs {' and '.join(missing)}: pip install 'yamsim[import]'")
     if path.suffix.lower() not in OBJECT_SUFFIXES:
@@ -79,7 +79,7 @@ def _read_as_is(path: Path) -> ObjectDescription:
 def _read_in_child(path: Path, scratch: Path, seconds: float) -> ObjectDescription:
     out = scratch / "out"
     out.mkdir()
-    call = python_call(reader_process.main, str(path), str(path.parent), str(out), int(np.ceil(seconds)))
+    call = python_call_command(reader_process.main, str(path), str(path.parent), str(out), int(np.ceil(seconds)))
     # Each thread would reserve memory.
     quiet = ["env", "OPENBLAS_NUM_THREADS=1", "OMP_NUM_THREADS=1", "MUJOCO_GL=off"]
     limit = _WALL_CLOCK_FACTOR * seconds
@@ -109,7 +109,9 @@ def convert_to_metres(thing: ObjectDescription, units: UnitOptions) -> ObjectDes
     no_up = units.up is None and thing.up is None
     if units.unit is None and thing.unit_m is None:
         sizes = {unit: size * metre * units.scale for unit, metre in UNITS.items()}
-        likely = [unit for unit, lengths in sizes.items() if _LIKELY_SIZES[0] <= lengths.max() <= _LIKELY_SIZES[1]]
+        likely = [
+            unit for unit, lengths in sizes.items() if _PLAUSIBLE_SIZES[0] <= lengths.max() <= _PLAUSIBLE_SIZES[1]
+        ]
         shown = " or ".join(f"--unit {unit} ({_format_size(sizes[unit])})" for unit in likely or UNITS)
         also = ", and --up z, y or x" if no_up else ""
         raise RefusedError("unit", f"it does not state its unit: add {shown}{also}")
@@ -129,7 +131,7 @@ def _check_size(size: Array, units: UnitOptions) -> None:
     fitting = [
         f"{flag} makes it {length:.3g} m long"
         for flag, length in mends.items()
-        if _LIKELY_SIZES[0] <= length <= _LIKELY_SIZES[1]
+        if _PLAUSIBLE_SIZES[0] <= length <= _PLAUSIBLE_SIZES[1]
     ]
     mend = "; ".join(fitting) or "give --scale"
     raise RefusedError(

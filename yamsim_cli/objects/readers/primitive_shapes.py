@@ -14,23 +14,23 @@ from yamsim_cli.core.geometry.stl import Faces
 
 from .object_parts import Surface, SurfaceMaterial
 
-_SEGMENTS = 40  # facets around the axis
+_CIRCLE_SEGMENTS = 40  # facets around the axis
 _AXIS_TOLERANCE = 1e-6  # deviation of a vertical axis's z component from 1
 
 
 def _revolve_outline(outline: Array, material: SurfaceMaterial) -> Surface:
     """Revolve an outline (n, 2): radius and height, m, from the lowest point upwards."""
     middle = outline[1:-1]
-    angle = 2 * np.pi * np.arange(_SEGMENTS) / _SEGMENTS
+    angle = 2 * np.pi * np.arange(_CIRCLE_SEGMENTS) / _CIRCLE_SEGMENTS
     x, y = (np.outer(middle[:, 0], turn) for turn in (np.cos(angle), np.sin(angle)))
-    ring = np.stack([x, y, np.repeat(middle[:, 1:], _SEGMENTS, axis=1)], axis=-1)
+    ring = np.stack([x, y, np.repeat(middle[:, 1:], _CIRCLE_SEGMENTS, axis=1)], axis=-1)
     vertices = np.concatenate([ring.reshape(-1, 3), [[0, 0, outline[0, 1]], [0, 0, outline[-1, 1]]]])
-    index = np.arange(len(middle) * _SEGMENTS).reshape(len(middle), _SEGMENTS)
+    index = np.arange(len(middle) * _CIRCLE_SEGMENTS).reshape(len(middle), _CIRCLE_SEGMENTS)
     right = np.roll(index, -1, axis=1)
     bottom, top = len(vertices) - 2, len(vertices) - 1
     faces: list[Faces] = [
-        np.stack([np.full(_SEGMENTS, bottom), right[0], index[0]], axis=-1),
-        np.stack([np.full(_SEGMENTS, top), index[-1], right[-1]], axis=-1),
+        np.stack([np.full(_CIRCLE_SEGMENTS, bottom), right[0], index[0]], axis=-1),
+        np.stack([np.full(_CIRCLE_SEGMENTS, top), index[-1], right[-1]], axis=-1),
     ]
     for k in range(len(middle) - 1):
         faces += [
@@ -79,11 +79,11 @@ def primitive_surface(kind: str, size: Array, material: SurfaceMaterial) -> Surf
             return _revolve_outline(np.array([[0, -half], [radius, -half], [radius, half], [0, half]]), material)
         case "capsule":
             radius, half = (float(length) for length in size)
-            angle = np.linspace(0, np.pi / 2, _SEGMENTS // 4 + 1)
+            angle = np.linspace(0, np.pi / 2, _CIRCLE_SEGMENTS // 4 + 1)
             top = np.stack([radius * np.cos(angle), half + radius * np.sin(angle)], axis=1)
             return _revolve_outline(np.concatenate([top[::-1] * [1, -1], top]), material)
         case _:
-            angle = np.linspace(-np.pi / 2, np.pi / 2, _SEGMENTS // 2 + 1)
+            angle = np.linspace(-np.pi / 2, np.pi / 2, _CIRCLE_SEGMENTS // 2 + 1)
             unit = _revolve_outline(np.stack([np.cos(angle), np.sin(angle)], axis=1), material)
             return Surface(unit.vertices * size, unit.faces, material)
 

@@ -14,7 +14,7 @@ from yamsim_cli.core.geometry.stl import Faces
 
 _MAX_PIXELS = 64_000_000
 _MAX_SIDE = 2048  # px, of a stored texture
-_TILE_PX = 2  # px, a triangle's square: one texel per corner, a fourth for interpolation
+_TRIANGLE_TILE_PX = 2  # px, a triangle's square: one texel per corner, a fourth for interpolation
 
 
 def open_image(data: bytes, name: str) -> Any:
@@ -56,7 +56,7 @@ def encode_png_texture(image: Any, name: str) -> bytes:
     return out.getvalue()
 
 
-def bake_colours(vertices: Array, faces: Faces, colours: NDArray[np.uint8]) -> tuple[Array, bytes]:
+def bake_vertex_colours(vertices: Array, faces: Faces, colours: NDArray[np.uint8]) -> tuple[Array, bytes]:
     """Return texture coordinates (m, 3, 2) and a PNG of vertex colours (n, 4), interpolated over triangles.
 
     Each triangle has a tile. Tiles of neighbours are close together, so that a smaller texture blends similar colours.
@@ -67,9 +67,9 @@ def bake_colours(vertices: Array, faces: Faces, colours: NDArray[np.uint8]) -> t
     rows = -(-len(faces) // columns)
     place = np.empty(len(faces), np.int64)
     place[_morton_order(vertices[faces].mean(axis=1))] = np.arange(len(faces))
-    x, y = _TILE_PX * (place % columns), _TILE_PX * (place // columns)
+    x, y = _TRIANGLE_TILE_PX * (place % columns), _TRIANGLE_TILE_PX * (place // columns)
     corner = colours[faces][..., :3].astype(np.int64)
-    texels = np.zeros((_TILE_PX * rows, _TILE_PX * columns, 3), np.uint8)
+    texels = np.zeros((_TRIANGLE_TILE_PX * rows, _TRIANGLE_TILE_PX * columns, 3), np.uint8)
     texels[y, x], texels[y, x + 1], texels[y + 1, x] = corner[:, 0], corner[:, 1], corner[:, 2]
     texels[y + 1, x + 1] = np.clip(corner[:, 1] + corner[:, 2] - corner[:, 0], 0, 255)
     centres = np.stack([np.stack([x, y], 1), np.stack([x + 1, y], 1), np.stack([x, y + 1], 1)], axis=1) + 0.5

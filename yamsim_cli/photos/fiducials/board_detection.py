@@ -11,31 +11,31 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from yamsim_cli.camera_effects.lens_distortion import project_points
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.board_image import marker_cells
 
-from ..lens_distortion import project_points
 from .fitting.blur_kernel import BlurKernel
 from .fitting.normal_equations import MarkerTile
 from .fitting.pose_alignment import Alignment, marginalize_shape, measure_agreement
 from .fitting.pose_fits import PoseFit, angle_between, find_competing_fit, is_clearly_better, refit_without_outliers
-from .fitting.print_shape import CREASED_SHARE
+from .fitting.print_shape import CREASE_PROBABILITY
 from .fitting.print_view import whole_board_piece
 
 Grey = NDArray[np.uint8]
 
 # A marker that the fit excludes, but that is whole and displaced, lies beyond a crease. A covered marker has a low
 # correlation or no shift. Source: 14 half-covered prints and 3 creased ones.
-_MIN_DISPLACED = 2  # displaced markers that indicate a crease
+_MIN_DISPLACED_MARKERS = 2  # displaced markers that indicate a crease
 _MIN_DISPLACED_CORRELATION = 0.5  # correlation of print and photo; above, a marker is whole
 _DISPLACED_PX = 0.7  # px, shift; above, a marker is displaced
 _CREASED_SHARE_IF_DISPLACED = 0.9  # prior probability of a crease with displaced markers
-_SHARED_ERROR_FACTOR = 4 / 3  # factor on `PoseLimits.turn` for a sigma with errors of lens and print scale
+_TURN_LIMIT_FACTOR = 4 / 3  # factor on `PoseLimits.max_rotation_sigma` for a sigma with errors of lens and print scale
 _MIN_FLAT_PROBABILITY = 0.5  # below, messages name the print's shape as the cause
 
-PRINT_SIGMA = 0.0025  # relative error of an unmeasured print's size: printers stretch by tenths of a percent
+PRINT_SCALE_SIGMA = 0.0025  # relative error of an unmeasured print's size: printers stretch by tenths of a percent
 
 # Limits within which nearly all boards are found. Source: `make bench-fiducials`.
 _MAX_MOTION_PX = 3.0  # px, motion blur
@@ -68,8 +68,8 @@ class BoardDetection:
         T_board_in_cam: pose (4, 4), origin at the board's centre, z out of the paper; None if refused.
         covariance: (6, 6) of a rotation (rad) about the centre and a shift (m) along the camera's axes, from noise,
             print shape, lens and print scale.
-        shared_errors: (6, k) pose change per sigma of each error that all boards of a photo share: first the focal
-            length, last the print scale.
+        errors_shared_by_boards: (6, k) pose change per sigma of each error that all boards of a photo share: first the
+            focal length, last the print scale.
         reprojection_rms: px, of the markers.
         blur: px; an upper bound for a board that fills the photo.
         is_duplicated: the photo shows the print more than once.
@@ -82,7 +82,7 @@ class BoardDetection:
     reason: str = ""
     T_board_in_cam: Array | None = None
     covariance: Array | None = None
-    shared_errors: Array | None = None
+    errors_shared_by_boards: Array | None = None
     reprojection_rms: float | None = None
     blur: BlurKernel | None = None
     is_duplicated: bool = False
@@ -101,10 +101,15 @@ class BoardDetection:
     @property
     def own_position_sigma(self) -> float | None:
         """Position sigma, m, without the errors that all boards share."""
-        if self.covariance is None or self.shared_errors is None:
+        if self.covariance is None or self.errors_shared_by_boards is None:
             return None
         return math.sqrt(
-            max(0.0, float(np.trace((self.covariance - self.shared_errors @ self.shared_errors.T)[3:, 3:])))
+            max(
+                0.0,
+                float(
+                    np.trace((self.covariance - self.errors_shared_by_boards @ self.errors_shared_by_boards.T)[3:, 3:])
+                ),
+            )
         )
 
     @property
@@ -117,11 +122,11 @@ class BoardDetection:
 class PoseLimits:
     """The largest accepted rotation and position sigmas, rad and m, without errors that all boards of a photo share."""
 
-    turn: float = math.radians(1.5)
-    shift: float = 0.01
+    max_rotation_sigma: float = math.radians(1.5)
+    max_position_sigma: float = 0.01
 
 
-USUAL_LIMITS = PoseLimits()
+DEFAULT_POSE_LIMITS = PoseLimits()
 
 
 def judge_detection(
@@ -131,7 +136,7 @@ def judge_detection(
     fit: PoseFit,
     fits: Sequence[PoseFit],
     predicted_poses: Sequence[Array] = (),
-    limits: PoseLimits = USUAL_LIMITS,
+    limits: PoseLimits = DEFAULT_POSE_LIMITS,
 ) -> BoardDetection:
     """Return a fitted board's pose with its uncertainty, or the reason against it.
 
@@ -158,7 +163,7 @@ def judge_detection(
         return BoardDetection(
             board, ids, BoardStatus.AMBIGUOUS, reason, reprojection_rms=rms, blur=kernel, advice=advice
         )
-    creased = _CREASED_SHARE_IF_DISPLACED if _has_displaced_markers(photo, camera, board, fit) else CREASED_SHARE
+    creased = _CREASED_SHARE_IF_DISPLACED if _has_displaced_markers(photo, camera, board, fit) else CREASE_PROBABILITY
     shaped = marginalize_shape(
         photo, camera, [whole_board_piece(board, fit.agreeing_markers)], fit.alignment, creased=creased
     )
@@ -169,7 +174,11 @@ def judge_detection(
     turn, shift = detection.rotation_sigma, detection.own_position_sigma
     assert turn is not None and shift is not None
     own_turn = math.sqrt(float(np.trace((covariance - shared @ shared.T)[:3, :3])))
-    if own_turn <= limits.turn and turn <= _SHARED_ERROR_FACTOR * limits.turn and shift <= limits.shift:
+    if (
+        own_turn <= limits.max_rotation_sigma
+        and turn <= _TURN_LIMIT_FACTOR * limits.max_rotation_sigma
+        and shift <= limits.max_position_sigma
+    ):
         return detection
     why = (
         "too few, too small or too blurred markers"
@@ -184,7 +193,7 @@ def judge_detection(
 
 
 def _has_displaced_markers(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit) -> bool:
-    if fit.contradicting_count < _MIN_DISPLACED:
+    if fit.contradicting_count < _MIN_DISPLACED_MARKERS:
         return False
     check = measure_agreement(
         photo, camera, [whole_board_piece(board)], fit.T_board_in_cam, fit.alignment.blur, fit.alignment.noise
@@ -195,7 +204,7 @@ def _has_displaced_markers(photo: NDArray[np.float32], camera: CameraModel, boar
     displaced = [
         t for t in left_out if t.correlation > _MIN_DISPLACED_CORRELATION and math.hypot(*t.shift) > _DISPLACED_PX
     ]
-    return len(displaced) >= _MIN_DISPLACED
+    return len(displaced) >= _MIN_DISPLACED_MARKERS
 
 
 def marker_shift_rms(tiles: Mapping[int, MarkerTile]) -> float:
@@ -205,12 +214,15 @@ def marker_shift_rms(tiles: Mapping[int, MarkerTile]) -> float:
 
 
 def pose_covariance(alignment: Alignment, camera: CameraModel, point: Array) -> tuple[Array, Array]:
-    """Return a pose's `covariance` and `shared_errors` (`BoardDetection`) about a point (3,) of `ref`, m."""
+    """Return a pose's `covariance` and `errors_shared_by_boards` (`BoardDetection`) about a point (3,) of `ref`, m."""
     x, y, z = alignment.T_ref_in_cam[:3, :3] @ (point - alignment.centre)
     # A rotation w moves the point by w x r.
     moved = np.eye(6)
     moved[3:, :3] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
-    error_columns = [alignment.by_lens @ camera.intrinsics_cholesky, PRINT_SIGMA * alignment.by_print]
+    error_columns = [
+        alignment.derivatives_by_lens @ camera.intrinsics_cholesky,
+        PRINT_SCALE_SIGMA * alignment.derivatives_by_print_scale,
+    ]
     shared: Array = moved @ np.column_stack(error_columns)
     covariance: Array = moved @ alignment.covariance @ moved.T + shared @ shared.T
     return covariance, shared

@@ -20,8 +20,8 @@ from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, invert_pose
 
 from .board_detection import (
-    PRINT_SIGMA,
-    USUAL_LIMITS,
+    DEFAULT_POSE_LIMITS,
+    PRINT_SCALE_SIGMA,
     BoardDetection,
     BoardStatus,
     PoseLimits,
@@ -30,21 +30,21 @@ from .board_detection import (
     pose_covariance,
 )
 from .fitting.pose_alignment import (
+    INITIAL_BLUR,
     SIGMA_INFLATION,
-    USUAL_BLUR,
     LogScalePrior,
     align_pose,
     marginalize_shape,
     measure_agreement,
 )
 from .fitting.pose_fits import PoseFit, fit_pose, initial_poses
-from .fitting.print_view import PrintPiece, whole_board_piece
+from .fitting.print_view import PrintedBoard, whole_board_piece
 from .markers import DetectedMarker, find_markers, group_markers
 from .recognition.board_recognizer import BoardRedetector
 
 Grey = NDArray[np.uint8]
 
-_MAX_LOG_SCALE = 3 * PRINT_SIGMA  # log of print over nominal size, above which the rig's poses are wrong
+_MAX_LOG_SCALE = 3 * PRINT_SCALE_SIGMA  # log of print over nominal size, above which the rig's poses are wrong
 
 
 def locate_boards(
@@ -53,7 +53,7 @@ def locate_boards(
     boards: Sequence[Board],
     T_boards_in_ref: Sequence[Array] = (),
     before: Sequence[Array | None] = (),
-    limits: PoseLimits = USUAL_LIMITS,
+    limits: PoseLimits = DEFAULT_POSE_LIMITS,
 ) -> tuple[list[BoardDetection], dict[str, list[DetectedMarker]]]:
     """Return a detection for each board, and all detected markers by dictionary.
 
@@ -68,7 +68,7 @@ def locate_boards(
     """
     markers = find_markers(grey, sorted({board.dictionary for board in boards}))
     photo = grey.astype(np.float32)
-    sightings = [_locate_read_board(photo, camera, board, markers, limits) for board in boards]
+    sightings = [_locate_board_with_markers(photo, camera, board, markers, limits) for board in boards]
     recognizer = BoardRedetector(grey, photo, camera, len(boards), limits)
     located = [seen.status is BoardStatus.OK for seen in sightings]
     for k, seen in enumerate(sightings):
@@ -101,7 +101,7 @@ def _poses_by_other_boards(
     ]
 
 
-def boards_without_pose(
+def detections_without_pose(
     grey: Grey, camera: CameraModel, boards: Sequence[Board], reason: str
 ) -> tuple[list[BoardDetection], dict[str, list[DetectedMarker]]]:
     """Return detections without pose for `reason`, and all markers by dictionary.
@@ -123,7 +123,7 @@ def _not_found_detection(board: Board) -> BoardDetection:
     return BoardDetection(board, (), BoardStatus.NOT_FOUND, "none of its markers was found")
 
 
-def _locate_read_board(
+def _locate_board_with_markers(
     photo: NDArray[np.float32],
     camera: CameraModel,
     board: Board,
@@ -143,7 +143,7 @@ def _locate_read_board(
         if fit := fit_pose(photo, camera, board, best.places, T, fits):
             fits.append(fit)
             # The other start could only give a competing pose, which `judge_detection` searches.
-            if fit.contradicting_count == 0 or fit.explains_well:
+            if fit.contradicting_count == 0 or fit.agrees_with_photo:
                 break
     if not fits:
         return BoardDetection(
@@ -156,11 +156,11 @@ def _locate_read_board(
     return judge_detection(photo, camera, board, fit, fits, limits=limits)
 
 
-def with_pose(grey: Grey, camera: CameraModel, seen: BoardDetection, T_board_in_cam: Array) -> BoardDetection:
+def replace_board_pose(grey: Grey, camera: CameraModel, seen: BoardDetection, T_board_in_cam: Array) -> BoardDetection:
     """Replace a detection's pose (4, 4) and measure the reprojection error in a photo (height, width)."""
     piece = whole_board_piece(seen.board, [seen.board.marker_ids.index(number) for number in seen.markers])
     check = measure_agreement(
-        grey.astype(np.float32), camera, [piece], T_board_in_cam, seen.blur or USUAL_BLUR, noise=1.0
+        grey.astype(np.float32), camera, [piece], T_board_in_cam, seen.blur or INITIAL_BLUR, noise=1.0
     )
     rms = None if check is None else marker_shift_rms(check.tiles[0])
     return replace(seen, T_board_in_cam=T_board_in_cam, reprojection_rms=rms)
@@ -175,18 +175,20 @@ def locate_boards_together(
         T_boards_in_ref: poses (4, 4) in a shared frame `ref`.
 
     Returns:
-        New detections; None if no print size within 3 `PRINT_SIGMA` explains the relative poses.
+        New detections; None if no print size within 3 `PRINT_SCALE_SIGMA` explains the relative poses.
     """
     pieces = [
-        PrintPiece(seen.board, T, tuple(seen.board.marker_ids.index(number) for number in seen.markers))
+        PrintedBoard(seen.board, T, tuple(seen.board.marker_ids.index(number) for number in seen.markers))
         for seen, T in zip(detections, T_boards_in_ref, strict=True)
     ]
     # The most certain board gives the start pose of `ref`.
     best = min(range(len(pieces)), key=lambda k: detections[k].position_sigma or math.inf)
-    T_board_in_cam, kernel = detections[best].T_board_in_cam, detections[best].blur or USUAL_BLUR
+    T_board_in_cam, kernel = detections[best].T_board_in_cam, detections[best].blur or INITIAL_BLUR
     assert T_board_in_cam is not None
     # The print size is fitted too: a size error of 0.25 % would tilt the boards by 0.2 degrees.
-    scale_prior = LogScalePrior(0.0, PRINT_SIGMA / SIGMA_INFLATION, _common_log_scale(detections, T_boards_in_ref))
+    scale_prior = LogScalePrior(
+        0.0, PRINT_SCALE_SIGMA / SIGMA_INFLATION, _common_log_scale(detections, T_boards_in_ref)
+    )
     T_start = T_board_in_cam.copy()
     T_start[:3, 3] *= math.exp(scale_prior.start)
     T_start = T_start @ invert_pose(T_boards_in_ref[best])

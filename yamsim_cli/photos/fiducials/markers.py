@@ -9,16 +9,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from yamsim_cli.camera_effects.lens_distortion import viewing_rays
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.board_image import aruco_dictionary
 
-from ..lens_distortion import viewing_rays
-
 Grey = NDArray[np.uint8]
 
-_ENLARGED_SIDE = 1920  # px, longer side of enlarged small photos: the detector suits markers of 30 px and more
+_ENLARGED_PHOTO_SIDE = 1920  # px, longer side of enlarged small photos: the detector suits markers of 30 px and more
 _MAX_ENLARGEMENT = 3
 # px, longer side to which larger photos are reduced. The detector ignores markers with an edge below 0.0075 of the
 # longer side (`minMarkerPerimeterRate`), which is 30 px after the reduction.
@@ -74,7 +73,7 @@ def _resize_for_detector(grey: Grey) -> tuple[Grey, Array]:
         size = tuple(round(side * REDUCED_SIDE / longer) for side in grey.shape[::-1])
         shrunk = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         return stretch_contrast(shrunk), np.array(size) / grey.shape[::-1]
-    factor = min(_MAX_ENLARGEMENT, max(1, round(_ENLARGED_SIDE / longer)))
+    factor = min(_MAX_ENLARGEMENT, max(1, round(_ENLARGED_PHOTO_SIDE / longer)))
     grey = stretch_contrast(grey)
     if factor > 1:
         grey = np.asarray(cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)

@@ -25,7 +25,7 @@ _MIN_TURN = math.radians(0.1)  # rad
 # Minimum pose sigma; identical photos would give zero.
 _NOISE_SHIFT = 5e-5  # m
 _NOISE_TURN = math.radians(0.01)  # rad
-_MAX_EVENT_SPAN = 3  # photos between steps of two boards in one event
+_MAX_PHOTOS_PER_EVENT = 3  # photos between steps of two boards in one event
 _HANDHELD_NOISE_RATIO = 8.0  # scatter of a pose over its sigma in one photo, of a hand-held camera
 _MIN_PHOTOS_PER_STEP = 12  # if several steps have fewer, the camera is hand-held
 
@@ -42,7 +42,7 @@ class MovedBody(StrEnum):
 
     CAMERA = "camera"
     BASE = "base"
-    EITHER = "camera or base"  # one board alone does not distinguish the two
+    CAMERA_OR_BASE = "camera or base"  # one board alone does not distinguish the two
     SEVERAL = "several"
 
 
@@ -72,10 +72,10 @@ class DetectedMove:
 
 @dataclass(frozen=True)
 class MoveReport:
-    """Moves in the photos' order; or `unknown`, why they cannot be detected, for users."""
+    """Moves in the photos' order; or `why_unknown`, why they cannot be detected, for users."""
 
     moves: tuple[DetectedMove, ...] = ()
-    unknown: str = ""
+    why_unknown: str = ""
 
 
 def describe_move(move: DetectedMove) -> str:
@@ -87,7 +87,7 @@ def describe_move(move: DetectedMove) -> str:
     what = {
         MovedBody.CAMERA: "the camera was moved",
         MovedBody.BASE: f"the base of {move.arm} was moved",
-        MovedBody.EITHER: f"the camera or the base of {move.arm} was moved (one board alone cannot show which)",
+        MovedBody.CAMERA_OR_BASE: f"the camera or the base of {move.arm} was moved (one board alone cannot show which)",
         MovedBody.SEVERAL: f"the base of {move.arm} was moved relative to the camera, and the other bases differently",
     }[move.what]
     when = f", {move.time:.2f} s" if move.time is not None else ""
@@ -102,9 +102,9 @@ def find_moves(results: Sequence[RigInPhoto]) -> MoveReport:
     arms = range(len(results[0].arms)) if results else range(0)
     tracks = [track for k in arms if (track := _board_track(results, k)) is not None]
     if not tracks:
-        return MoveReport(unknown=f"fewer than {2 * _MIN_SAMPLES} photos have a pose from a board")
+        return MoveReport(why_unknown=f"fewer than {2 * _MIN_SAMPLES} photos have a pose from a board")
     if any(track.camera_never_rests for track in tracks):
-        return MoveReport(unknown="the camera is not on a stand: it moves between all photos")
+        return MoveReport(why_unknown="the camera is not on a stand: it moves between all photos")
     moves: list[DetectedMove] = []
     for event in _group_events([(track, step) for track in tracks for step in track.significant_steps]):
         moves += _classify_event(results, tracks, event)
@@ -118,14 +118,14 @@ class _PoseStep:
     Attributes:
         at: index of the first sample after the step.
         sigma: standard deviation (d,) of the difference.
-        strength: squared difference in variances, summed over axes.
+        chi_squared: squared difference in variances, summed over axes.
     """
 
     at: int
     before: Array
     after: Array
     sigma: Array
-    strength: float
+    chi_squared: float
 
 
 class _BoardTrack:
@@ -149,14 +149,14 @@ class _BoardTrack:
         cut = int(np.searchsorted(self.photos, photo))
         edges = [
             0,
-            *(step.at for step in self.significant_steps if abs(step.at - cut) > _MAX_EVENT_SPAN),
+            *(step.at for step in self.significant_steps if abs(step.at - cut) > _MAX_PHOTOS_PER_EVENT),
             len(self.photos),
         ]
         low = max(edge for edge in edges if edge <= cut)
         high = min(edge for edge in edges if edge >= cut)
         if cut - low < _MIN_SAMPLES or high - cut < _MIN_SAMPLES:
             return None
-        return _step_at(self.motions[low:high], cut - low, _series_noise(self.motions, self._least))
+        return _pose_step_at(self.motions[low:high], cut - low, _series_noise(self.motions, self._least))
 
     @property
     def camera_never_rests(self) -> bool:
@@ -194,9 +194,9 @@ def _photo_noise(arm: ArmBasePose) -> Array:
     """Return sigmas (6,) of a board's pose, rad and m, without errors that all photos share."""
     seen = arm.detection
     least = np.array([_NOISE_TURN] * 3 + [_NOISE_SHIFT] * 3)
-    if seen is None or seen.covariance is None or seen.shared_errors is None:
+    if seen is None or seen.covariance is None or seen.errors_shared_by_boards is None:
         return least
-    own = np.diag(seen.covariance) - np.sum(seen.shared_errors**2, axis=1)
+    own = np.diag(seen.covariance) - np.sum(seen.errors_shared_by_boards**2, axis=1)
     noise: Array = np.maximum(np.sqrt(np.maximum(own, 0.0)), least)
     return noise
 
@@ -217,7 +217,7 @@ def _group_events(found: list[_TrackStep]) -> list[list[_TrackStep]]:
     events: list[list[_TrackStep]] = []
     for track, step in sorted(found, key=lambda one: one[0].photos[one[1].at]):
         last = events[-1] if events else []
-        near = last and track.photos[step.at] - last[0][0].photos[last[0][1].at] <= _MAX_EVENT_SPAN
+        near = last and track.photos[step.at] - last[0][0].photos[last[0][1].at] <= _MAX_PHOTOS_PER_EVENT
         if near and all(other.arm != track.arm for other, _ in last):
             last.append((track, step))
         else:
@@ -228,11 +228,11 @@ def _group_events(found: list[_TrackStep]) -> list[list[_TrackStep]]:
 def _classify_event(
     results: Sequence[RigInPhoto], tracks: list[_BoardTrack], event: list[_TrackStep]
 ) -> list[DetectedMove]:
-    track, step = max(event, key=lambda one: one[1].strength)
+    track, step = max(event, key=lambda one: one[1].chi_squared)
     photo = int(track.photos[step.at])
     others = [(other, its) for other in tracks if other is not track and (its := other.step_before(photo)) is not None]
     if not others:
-        return [_detected_move(results, track, step, photo, MovedBody.EITHER)]
+        return [_detected_move(results, track, step, photo, MovedBody.CAMERA_OR_BASE)]
     other, its = others[0]
     if other.arm not in {one.arm for one, _ in event}:
         return [_detected_move(results, track, step, photo, MovedBody.BASE)]
@@ -297,13 +297,13 @@ def _find_steps(series: Array, minimum: Array) -> list[_PoseStep]:
     edges = [0, *sorted(_split_at_steps(series / sigma, 0)), len(series)]
     steps = []
     for low, at, high in zip(edges, edges[1:], edges[2:], strict=False):
-        step = _step_at(series[low:high], at - low, sigma)
-        if step.strength > _MIN_STRENGTH:
+        step = _pose_step_at(series[low:high], at - low, sigma)
+        if step.chi_squared > _MIN_STRENGTH:
             steps.append(replace(step, at=at))
     return steps
 
 
-def _step_at(series: Array, at: int, sigma: Array) -> _PoseStep:
+def _pose_step_at(series: Array, at: int, sigma: Array) -> _PoseStep:
     before, after = np.median(series[:at], axis=0), np.median(series[at:], axis=0)
     spread = sigma * np.sqrt(_MEDIAN_VARIANCE_RATIO * (1 / at + 1 / (len(series) - at)))
     return _PoseStep(at, before, after, spread, float(np.sum(((after - before) / spread) ** 2)))
@@ -314,12 +314,15 @@ def _split_at_steps(series: Array, start: int) -> list[int]:
     n = len(series)
     if n < 2 * _MIN_SAMPLES:
         return []
-    costs = [_level_cost(series[:k]) + _level_cost(series[k:]) for k in range(_MIN_SAMPLES, n - _MIN_SAMPLES + 1)]
+    costs = [
+        _constant_fit_cost(series[:k]) + _constant_fit_cost(series[k:])
+        for k in range(_MIN_SAMPLES, n - _MIN_SAMPLES + 1)
+    ]
     at = _MIN_SAMPLES + int(np.argmin(costs))
-    if _step_at(series, at, np.ones(series.shape[1])).strength <= _MIN_STRENGTH:
+    if _pose_step_at(series, at, np.ones(series.shape[1])).chi_squared <= _MIN_STRENGTH:
         return []
     return [*_split_at_steps(series[:at], start), start + at, *_split_at_steps(series[at:], start + at)]
 
 
-def _level_cost(series: Array) -> float:
+def _constant_fit_cost(series: Array) -> float:
     return float(np.minimum(np.abs(series - np.median(series, axis=0)), _MAX_SAMPLE_COST).sum())

@@ -13,19 +13,19 @@ from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, invert_pose
 
 from ..edge_alignment import (
-    EdgeEquations,
     EdgeOffsets,
+    PoseCorrectionEquations,
     edge_equations,
     edge_offsets,
     grain_px,
     mask_outline,
-    search_radii,
+    search_distances,
     solve_correction,
 )
-from ..fiducials.board_localization import with_pose
+from ..fiducials.board_localization import replace_board_pose
 from .joint_files import ArmPostures
 from .photo_arm_poses import ArmBasePose, RigInPhoto
-from .rendered_arms import ArmRenderer, PinholeArms
+from .rendered_arms import ArmRenderer, ArmsInPinholePicture
 
 _MIN_POINTS = 20  # points of an outline; with fewer, it does not move a pose
 
@@ -33,7 +33,7 @@ _MIN_POINTS = 20  # points of an outline; with fewer, it does not move a pose
 def score_outlines(result: RigInPhoto, renderer: ArmRenderer, grey: NDArray[np.uint8]) -> RigInPhoto:
     """Return median distances (px) of outlines to edges in the result, by arm and overall."""
     flat_grey = renderer.undistort_photo(grey)
-    labels = renderer.flat_labels()
+    labels = renderer.undistorted_label_image()
     offsets = {
         k: edge_offsets(flat_grey, mask_outline(labels == k + 1, _other_arms_mask(labels, k)))
         for k in result.base_poses
@@ -42,7 +42,7 @@ def score_outlines(result: RigInPhoto, renderer: ArmRenderer, grey: NDArray[np.u
         replace(arm, edge_residual=offsets[k].median_distance) if k in offsets else arm
         for k, arm in enumerate(result.arms)
     )
-    reach = next(iter(offsets.values())).reach
+    reach = next(iter(offsets.values())).search_distance
     every = EdgeOffsets(np.concatenate([found.offsets for found in offsets.values()]), reach)
     return replace(result, arms=arms, edge_residual=every.median_distance)
 
@@ -65,7 +65,7 @@ def refine_poses(
     priors = [_pose_prior([result.arms[k] for k in group]) for group in groups]
     steps = [np.zeros(6) for _ in groups]
     poses = dict(start)
-    for reach in search_radii():
+    for reach in search_distances():
         renderer.set_poses(poses, postures)
         flat = renderer.pinhole_arms()
         for group, (centre, information), step in zip(groups, priors, steps, strict=True):
@@ -85,8 +85,8 @@ def refine_poses(
 
 
 def _arm_edge_equations(
-    flat: PinholeArms, flat_grey: NDArray[np.uint8], k: int, centre: Array, reach: float
-) -> EdgeEquations | None:
+    flat: ArmsInPinholePicture, flat_grey: NDArray[np.uint8], k: int, centre: Array, reach: float
+) -> PoseCorrectionEquations | None:
     line = mask_outline(flat.labels == k + 1, _other_arms_mask(flat.labels, k))
     if len(line.points) < _MIN_POINTS:
         return None
@@ -103,7 +103,7 @@ def _with_refined_pose(
     if seen is not None and seen.T_board_in_cam is not None:
         assert arm.T_base_in_cam is not None
         T_board_in_base = invert_pose(arm.T_base_in_cam) @ seen.T_board_in_cam
-        seen = with_pose(grey, camera, seen, T_base_in_cam @ T_board_in_base)
+        seen = replace_board_pose(grey, camera, seen, T_base_in_cam @ T_board_in_base)
     return replace(arm, T_base_in_cam=T_base_in_cam, detection=seen)
 
 

@@ -14,7 +14,7 @@ from yamsim_cli.core.files.writing import write_output
 from yamsim_cli.core.geometry.se3 import Array, invert_pose
 
 from .move_detection import DetectedMove, MoveReport
-from .photo_arm_poses import INFERRED, RECORDED, ArmBasePose, RigInPhoto
+from .photo_arm_poses import STATUS_INFERRED, STATUS_RECORDED, ArmBasePose, RigInPhoto
 
 REPORT_NAME = "overlay.json"
 
@@ -37,8 +37,8 @@ class OverlayReport:
             "files": [str(path) for path in self.files],
             "failures": list(self.failures),
             "unreadable": list(self.unreadable),
-            "still": None if self.move_report.unknown else not self.move_report.moves,
-            "still_unknown": self.move_report.unknown,
+            "still": None if self.move_report.why_unknown else not self.move_report.moves,
+            "still_unknown": self.move_report.why_unknown,
             "moved": [_move_data(move) for move in self.move_report.moves],
         }
 
@@ -56,7 +56,7 @@ class OverlayReport:
         """
         without = [result for result in self.results if not result.base_poses]
         if len(without) == len(self.results):
-            raise ResourceError(_nothing_found(without, self.rig))
+            raise ResourceError(_nothing_found_message(without, self.rig))
         if self.failures:
             raise ResourceError(_first_message(self.failures))
         if self.unreadable:
@@ -64,7 +64,7 @@ class OverlayReport:
         if without:
             raise PartialJobError(
                 f"{len(without)} of {len(self.results)} photos give no pose, first "
-                f"{_nothing_found(without[:1], self.rig)}"
+                f"{_nothing_found_message(without[:1], self.rig)}"
             )
 
 
@@ -73,7 +73,7 @@ def photo_captions(result: RigInPhoto) -> list[str]:
     lines = []
     for arm in result.arms:
         text = f"{arm.name}: {arm.status}"
-        if arm.detection and (arm.detection.markers or arm.status not in (INFERRED, RECORDED)):
+        if arm.detection and (arm.detection.markers or arm.status not in (STATUS_INFERRED, STATUS_RECORDED)):
             text += f", {len(arm.detection.markers)}/{len(arm.detection.board.marker_ids)} markers"
             if arm.detection.reprojection_rms is not None:
                 text += f", {arm.detection.reprojection_rms:.2f} px"
@@ -98,7 +98,7 @@ def _first_message(messages: Sequence[str]) -> str:
     return f"{messages[0]}{more}"
 
 
-def _nothing_found(results: Sequence[RigInPhoto], rig: RigConfig) -> str:
+def _nothing_found_message(results: Sequence[RigInPhoto], rig: RigConfig) -> str:
     first = results[0]
     boards = [arm.board for arm in rig.arms if arm.board]
     wanted = ", ".join(

@@ -23,7 +23,7 @@ from yamsim_cli.core.images.png import encode_png
 from yamsim_cli.core.images.video import VideoWriter
 from yamsim_cli.core.progress import Progress
 
-from ..fiducials.board_detection import USUAL_LIMITS, BoardStatus, PoseLimits
+from ..fiducials.board_detection import DEFAULT_POSE_LIMITS, BoardStatus, PoseLimits
 from ..picture_overlay import blend_arms, draw_board, write_lines
 from .joint_files import ArmPostures, home_postures
 from .move_detection import describe_move, find_moves
@@ -31,7 +31,7 @@ from .outline_fit import mask_iou, refine_poses, score_outlines
 from .overlay_report import REPORT_NAME, OverlayReport, photo_captions
 from .photo_arm_poses import RigInPhoto, find_arms
 from .photo_cameras import PhotoCameras
-from .photos import MASK_ENDING, OVERLAY_ENDING, Photo, find_mask
+from .photos import MASK_SUFFIX, OVERLAY_SUFFIX, Photo, find_mask
 from .rendered_arms import ArmRenderers
 
 
@@ -68,7 +68,7 @@ class OverlayRequest:
     trust_margin: bool = False
     refine: bool = False
     opacity: float = 0.55
-    limits: PoseLimits = USUAL_LIMITS
+    limits: PoseLimits = DEFAULT_POSE_LIMITS
     video: Path | None = None
     frame_period: float = 1 / 15
     max_reprojection: float | None = None
@@ -103,7 +103,7 @@ def photo_jobs(
     """
     if postures is not None and len(postures) not in (1, len(photos)):
         raise ConfigError(f"--joints has {len(postures)} rows for {len(photos)} photos; give one row, or one for each")
-    endings = (OVERLAY_ENDING, MASK_ENDING) if write_masks else (OVERLAY_ENDING,)
+    endings = (OVERLAY_SUFFIX, MASK_SUFFIX) if write_masks else (OVERLAY_SUFFIX,)
     jobs = []
     for k, (photo, stem) in enumerate(zip(photos, _result_names(photos), strict=True)):
         if postures is not None:

@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.se3 import Array, invert_pose
 
-from ..fiducials.board_detection import USUAL_LIMITS, BoardDetection, BoardStatus, PoseLimits
-from ..fiducials.board_localization import boards_without_pose, locate_boards, locate_boards_together
+from ..fiducials.board_detection import DEFAULT_POSE_LIMITS, BoardDetection, BoardStatus, PoseLimits
+from ..fiducials.board_localization import detections_without_pose, locate_boards, locate_boards_together
 from ..fiducials.markers import sorted_marker_ids
 from .photo_cameras import PhotoCamera
 from .photos import Photo
 
-INFERRED = "inferred"  # arm status: pose from the other board and the rig
-RECORDED = "recorded"  # arm status: pose from the recording
-NO_BOARD = "no_board"  # arm status: no board in the rig, pose unknown
+STATUS_INFERRED = "inferred"  # arm status: pose from the other board and the rig
+STATUS_RECORDED = "recorded"  # arm status: pose from the recording
+STATUS_NO_BOARD = "no_board"  # arm status: no board in the rig, pose unknown
 
 _MAX_REPROJECTION_PX = 0.5  # px, above which the result has a note
 _MARGIN_TOLERANCE = 0.002  # m, error of the rig's distance between arms, above which the result has a note
@@ -30,8 +30,8 @@ _MARGIN_TOLERANCE = 0.002  # m, error of the rig's distance between arms, above 
 # Chi-squared test of whether two prints have the rig's sizes.
 _MARGIN_SIGMA = 0.005  # m, of the real distance between the arms from the rig's
 _POSITION_SIGMA = 0.002  # m, of the real arm positions from the rig's, along each axis
-_MIN_EXPLAINED = 25.0  # decrease of chi squared by another print size
-_MAX_UNEXPLAINED = 14.0  # chi squared that remains with another print size
+_MIN_CHI_SQUARED_DECREASE = 25.0  # decrease of chi squared by another print size
+_MAX_CHI_SQUARED = 14.0  # chi squared that remains with another print size
 _MIN_SIZE_DIFFERENCE = 0.01  # smallest reported difference, relative to the rig
 
 
@@ -41,7 +41,7 @@ class ArmBasePose:
 
     Attributes:
         board: name, if the arm has one.
-        status: the board's `BoardStatus`, INFERRED, RECORDED or NO_BOARD.
+        status: the board's `BoardStatus`, STATUS_INFERRED, STATUS_RECORDED or STATUS_NO_BOARD.
         T_base_in_cam: pose (4, 4); None if unknown.
         edge_residual: median distance of the rendered outline to edges, px; None if not measured.
     """
@@ -102,7 +102,7 @@ def find_arms(
     lens: PhotoCamera,
     trust_margin: bool,
     before: RigInPhoto | None = None,
-    limits: PoseLimits = USUAL_LIMITS,
+    limits: PoseLimits = DEFAULT_POSE_LIMITS,
 ) -> RigInPhoto:
     """Find base poses by each arm's board, with `trust_margin` by all boards, else from the recording.
 
@@ -114,7 +114,7 @@ def find_arms(
     """
     boards, camera = [arm.board.board_in_metres for arm in rig.arms if arm.board], lens.camera
     if lens.focal.reason:
-        sightings, markers = boards_without_pose(grey, camera, boards, lens.focal.reason)
+        sightings, markers = detections_without_pose(grey, camera, boards, lens.focal.reason)
     else:
         T_boards = [_T_board_in_world(rig, k) for k, arm in enumerate(rig.arms) if arm.board]
         seen_before = {arm.board: arm.detection for arm in before.arms if arm.detection} if before else {}
@@ -124,7 +124,7 @@ def find_arms(
     arms = []
     for arm in rig.arms:
         if arm.board is None:
-            arms.append(ArmBasePose(arm.name, None, NO_BOARD))
+            arms.append(ArmBasePose(arm.name, None, STATUS_NO_BOARD))
             continue
         seen = by_board[arm.board.board_in_metres.name]
         T = None if seen.T_board_in_cam is None else seen.T_board_in_cam @ invert_pose(arm.T_board_in_base)
@@ -133,7 +133,7 @@ def find_arms(
     arms = _drop_inconsistent_sizes(rig, arms)
     ids = tuple(sorted_marker_ids(markers))
     result = RigInPhoto(photo.path, lens, photo.joints_source, tuple(arms), ids, notes=notes, time=photo.time)
-    result = _with_margin(rig, result)
+    result = _with_measured_margin(rig, result)
     if trust_margin and len(arms) > 1 and result.base_poses:
         result = _pose_by_trusted_margin(rig, result, grey)
     return result if photo.T_base_in_cam is None else _with_recorded_poses(rig, result, photo.T_base_in_cam)
@@ -175,15 +175,15 @@ def _size_ratio(one: BoardDetection, two: BoardDetection, T_one: Array, T_two: A
     """
     assert one.T_board_in_cam is not None and two.T_board_in_cam is not None
     assert one.covariance is not None and two.covariance is not None
-    assert one.shared_errors is not None and two.shared_errors is not None
+    assert one.errors_shared_by_boards is not None and two.errors_shared_by_boards is not None
     expected = one.T_board_in_cam @ (invert_pose(T_one) @ T_two)
     lever = expected[:3, 3] - one.T_board_in_cam[:3, 3]
     # A rotation w moves the second board by w x lever.
     x, y, z = lever
     swung = np.column_stack([np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]]), np.eye(3)])
-    own_one: Array = one.covariance - one.shared_errors @ one.shared_errors.T
-    own_two: Array = two.covariance - two.shared_errors @ two.shared_errors.T
-    shared: Array = two.shared_errors[3:] - swung @ one.shared_errors
+    own_one: Array = one.covariance - one.errors_shared_by_boards @ one.errors_shared_by_boards.T
+    own_two: Array = two.covariance - two.errors_shared_by_boards @ two.errors_shared_by_boards.T
+    shared: Array = two.errors_shared_by_boards[3:] - swung @ one.errors_shared_by_boards
     noise = swung @ own_one @ swung.T + own_two[3:, 3:] + shared @ shared.T
     # The margin is along world y.
     along = one.T_board_in_cam[:3, :3] @ T_one[:3, :3].T @ np.array([0.0, 1.0, 0.0])
@@ -195,16 +195,16 @@ def _size_ratio(one: BoardDetection, two: BoardDetection, T_one: Array, T_two: A
     size_change = -float(way @ weighted[:, 0]) / float(way @ weighted[:, 1])
     before = float(off @ weighted[:, 0])
     left = before - size_change**2 * float(way @ weighted[:, 1])
-    if before - left < _MIN_EXPLAINED or left > _MAX_UNEXPLAINED or abs(size_change) < _MIN_SIZE_DIFFERENCE:
+    if before - left < _MIN_CHI_SQUARED_DECREASE or left > _MAX_CHI_SQUARED or abs(size_change) < _MIN_SIZE_DIFFERENCE:
         return None
     return 1.0 + size_change
 
 
 def _without_pose(detection: BoardDetection) -> BoardDetection:
-    return replace(detection, T_board_in_cam=None, covariance=None, shared_errors=None)
+    return replace(detection, T_board_in_cam=None, covariance=None, errors_shared_by_boards=None)
 
 
-def _with_other_pose(arm: ArmBasePose, status: str, T_base_in_cam: Array) -> ArmBasePose:
+def _with_replaced_pose(arm: ArmBasePose, status: str, T_base_in_cam: Array) -> ArmBasePose:
     sighting = arm.detection and _without_pose(arm.detection)
     return replace(arm, status=status, detection=sighting, T_base_in_cam=T_base_in_cam)
 
@@ -212,7 +212,7 @@ def _with_other_pose(arm: ArmBasePose, status: str, T_base_in_cam: Array) -> Arm
 def _with_recorded_poses(rig: RigConfig, result: RigInPhoto, T_first_base_in_cam: Array) -> RigInPhoto:
     T_world_in_cam = T_first_base_in_cam @ invert_pose(rig.T_base_in_world(0))
     arms = tuple(
-        arm if arm.is_located else _with_other_pose(arm, RECORDED, T_world_in_cam @ rig.T_base_in_world(k))
+        arm if arm.is_located else _with_replaced_pose(arm, STATUS_RECORDED, T_world_in_cam @ rig.T_base_in_world(k))
         for k, arm in enumerate(result.arms)
     )
     return replace(result, arms=arms)
@@ -228,7 +228,7 @@ def _reprojection_notes(arms: Sequence[ArmBasePose]) -> tuple[str, ...]:
     )
 
 
-def _with_margin(rig: RigConfig, result: RigInPhoto) -> RigInPhoto:
+def _with_measured_margin(rig: RigConfig, result: RigInPhoto) -> RigInPhoto:
     if len(result.arms) < 2 or not all(arm.is_located for arm in result.arms[:2]):
         return result
     one, two = result.arms[:2]
@@ -255,13 +255,13 @@ def _margin_sigma(one: ArmBasePose, two: ArmBasePose, direction: Array) -> float
         assert (
             arm.detection is not None
             and arm.detection.covariance is not None
-            and arm.detection.shared_errors is not None
+            and arm.detection.errors_shared_by_boards is not None
         )
         assert arm.detection.T_board_in_cam is not None and arm.T_base_in_cam is not None
         # A rotation of the board moves the base.
         lever = arm.T_base_in_cam[:3, 3] - arm.detection.T_board_in_cam[:3, 3]
         along = np.concatenate([np.cross(lever, direction), direction])
-        shared = along @ arm.detection.shared_errors
+        shared = along @ arm.detection.errors_shared_by_boards
         variance += float(along @ arm.detection.covariance @ along - shared @ shared)
         scales.append(shared)
     # Lens and printer errors are common: only their difference counts.
@@ -285,5 +285,5 @@ def _pose_by_trusted_margin(rig: RigConfig, result: RigInPhoto, grey: NDArray[np
         if k in found:
             arms.append(replace(arm, detection=found[k], T_base_in_cam=T))
         else:
-            arms.append(_with_other_pose(arm, INFERRED, T))
+            arms.append(_with_replaced_pose(arm, STATUS_INFERRED, T))
     return replace(result, arms=tuple(arms))

@@ -19,11 +19,11 @@ from yamsim_cli.core.images.image_files import read_image
 
 from .joint_files import ArmPostures, recorded_postures
 
-SUFFIXES = (".png", ".jpg", ".jpeg")
+PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 # Suffixes of pictures that yamsim writes beside photos.
-OVERLAY_ENDING = "_overlay.png"
-MASK_ENDING = "_mask.png"
+OVERLAY_SUFFIX = "_overlay.png"
+MASK_SUFFIX = "_mask.png"
 
 
 @dataclass(frozen=True)
@@ -56,11 +56,11 @@ def find_photos(paths: Sequence[Path]) -> list[Path]:
         if path.is_dir():
             photos = sorted(item for item in path.iterdir() if _may_be_photo(item))
             if not photos:
-                raise ResourceError(f"{path} contains no photo; valid: {', '.join(SUFFIXES)}")
+                raise ResourceError(f"{path} contains no photo; valid: {', '.join(PHOTO_SUFFIXES)}")
         elif not path.exists():
             raise ResourceError(f"{path} does not exist; give a photo or a folder of photos")
-        elif path.suffix.lower() not in SUFFIXES:
-            raise ResourceError(f"{path} is not a photo; valid: {', '.join(SUFFIXES)}")
+        elif path.suffix.lower() not in PHOTO_SUFFIXES:
+            raise ResourceError(f"{path} is not a photo; valid: {', '.join(PHOTO_SUFFIXES)}")
         else:
             photos = [path]
         for photo in photos:
@@ -69,8 +69,8 @@ def find_photos(paths: Sequence[Path]) -> list[Path]:
 
 
 def _may_be_photo(path: Path) -> bool:
-    written = path.name.endswith((OVERLAY_ENDING, MASK_ENDING))
-    return path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and not written and path.is_file()
+    written = path.name.endswith((OVERLAY_SUFFIX, MASK_SUFFIX))
+    return path.suffix.lower() in PHOTO_SUFFIXES and not path.name.startswith(".") and not written and path.is_file()
 
 
 def find_mask(masks: Path, photo: Path) -> Path:
@@ -81,11 +81,11 @@ def find_mask(masks: Path, photo: Path) -> Path:
     """
     if not masks.is_dir():
         return masks
-    for name in (f"{photo.stem}{MASK_ENDING}", f"{photo.stem}.png", photo.name):
+    for name in (f"{photo.stem}{MASK_SUFFIX}", f"{photo.stem}.png", photo.name):
         if (masks / name).is_file() and (masks / name).resolve() != photo.resolve():
             return masks / name
     raise ResourceError(
-        f"{masks} contains no mask for {photo.name}; valid: {photo.stem}{MASK_ENDING} or {photo.stem}.png"
+        f"{masks} contains no mask for {photo.name}; valid: {photo.stem}{MASK_SUFFIX} or {photo.stem}.png"
     )
 
 
@@ -121,7 +121,7 @@ def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Ph
     if camera not in cameras:
         raise UsageError(f"{episode} has no camera {camera!r}; {suggest_similar(camera, cameras)}")
     files = sorted((episode / "rgb" / camera).iterdir())
-    photos = [_frame_photo(episode, camera, path, rig) for path in files if path.suffix.lower() in SUFFIXES]
+    photos = [_frame_photo(episode, camera, path, rig) for path in files if path.suffix.lower() in PHOTO_SUFFIXES]
     if not photos:
         raise DatasetError(f"{episode}/rgb/{camera} contains no image")
     return photos

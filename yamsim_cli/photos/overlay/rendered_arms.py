@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from yamsim_cli.camera_effects.lens_distortion import LensWarp
 from yamsim_cli.core.attempt_data import ArmPosture
 from yamsim_cli.core.closable import Closable
 from yamsim_cli.core.config.rendering import RenderConfig
@@ -22,11 +23,9 @@ from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation
 from yamsim_cli.core.rendering.renderer import SceneRenderer
 from yamsim_cli.core.scene.arm_model import finger_addresses
 from yamsim_cli.core.scene.blueprint import Blueprint, PictureSettings
-from yamsim_cli.core.scene.cameras import WORLD, SceneCamera
+from yamsim_cli.core.scene.cameras import WORLD_BODY, SceneCamera
 from yamsim_cli.core.scene.compilation import compile_spec
 from yamsim_cli.core.scene.compose import compose_scene
-
-from ..lens_distortion import LensWarp
 
 _CAMERA = "photo"
 _HIDDEN_GROUP = 5
@@ -46,7 +45,7 @@ class ArmPicture:
 
 
 @dataclass(frozen=True)
-class PinholeArms:
+class ArmsInPinholePicture:
     """Arms in an ideal pinhole picture with camera `intrinsics`.
 
     `labels` (height, width): 0 background, k the k-th arm; `depth` is the surface's z in the camera frame, m.
@@ -60,22 +59,34 @@ class PinholeArms:
 class ArmRenderer(Closable):
     """Renders arms for photos of one camera. The rendered world frame is the camera frame.
 
+    Args:
+        supersample: rendered pixels per photo pixel along each axis; by default 2, in large photos 1.
+
     Raises:
         ConfigError: the camera's pictures are too large or too wide to render.
         ResourceError: no OpenGL context is available.
     """
 
     def __init__(
-        self, rig: RigConfig, scene: SceneConfig, quality: RenderConfig, camera: CameraModel, locations: Locations
+        self,
+        rig: RigConfig,
+        scene: SceneConfig,
+        quality: RenderConfig,
+        camera: CameraModel,
+        locations: Locations,
+        supersample: int | None = None,
     ) -> None:
         self._rig = rig
-        self._warp = LensWarp(camera, 2 if max(camera.width, camera.height) <= _MAX_SUPERSAMPLED_SIDE else 1)
+        default = 2 if max(camera.width, camera.height) <= _MAX_SUPERSAMPLED_SIDE else 1
+        self._warp = LensWarp(camera, supersample or default)
         size = (self._warp.ideal.width, self._warp.ideal.height)
         if max(size) > _MAX_SIDE:
             raise ConfigError(
                 f"a pinhole picture for this camera has {size[0]} x {size[1]} pixels; at most {_MAX_SIDE}"
             )
-        view = SceneCamera(_CAMERA, WORLD, pose(rotation=opencv_from_mujoco(np.eye(3))), math.degrees(self._warp.fovy))
+        view = SceneCamera(
+            _CAMERA, WORLD_BODY, pose(rotation=opencv_from_mujoco(np.eye(3))), math.degrees(self._warp.fovy)
+        )
         blueprint = Blueprint(
             rig, scene, boards=False, background=False, cameras=(view,), pictures=PictureSettings(quality, size)
         )
@@ -116,20 +127,22 @@ class ArmRenderer(Closable):
     def render(self) -> ArmPicture:
         """Render colours and labels with lens distortion."""
         colour = self._warp.distort_picture(self._renderer.render(self._data, _CAMERA))
-        return ArmPicture(colour, self._warp.distort_picture(self._ideal_labels(), nearest=True))
+        return ArmPicture(colour, self._warp.distort_picture(self._undistorted_labels(), nearest=True))
 
-    def flat_labels(self) -> NDArray[np.uint8]:
+    def undistorted_label_image(self) -> NDArray[np.uint8]:
         """Render labels without lens distortion: 0 background, k the k-th arm."""
         step = self._warp.supersample
-        return np.ascontiguousarray(self._ideal_labels()[::step, ::step])
+        return np.ascontiguousarray(self._undistorted_labels()[::step, ::step])
 
-    def pinhole_arms(self) -> PinholeArms:
+    def pinhole_arms(self) -> ArmsInPinholePicture:
         """Render labels and depth without lens distortion."""
         step = self._warp.supersample
         depth = self._renderer.render_depth(self._data, _CAMERA)[::step, ::step]
-        return PinholeArms(self.flat_labels(), np.ascontiguousarray(depth), self._warp.coarse_intrinsics)
+        return ArmsInPinholePicture(
+            self.undistorted_label_image(), np.ascontiguousarray(depth), self._warp.coarse_intrinsics
+        )
 
-    def _ideal_labels(self) -> NDArray[np.uint8]:
+    def _undistorted_labels(self) -> NDArray[np.uint8]:
         if self._labels is None:
             self._labels = self._arm_of_geom[self._renderer.render_geom_ids(self._data, _CAMERA)]
         return self._labels

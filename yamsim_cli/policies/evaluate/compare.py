@@ -63,7 +63,7 @@ def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any]) 
 def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
     """Compare two reports trial by trial. Return counts of successes and McNemar's exact p-value as JSON data.
 
-    `policy` and `success_rate` are those of the second report.
+    `policy` and `success_rate` come from the second report.
     """
     name = second["policy"]
     require_same_trials(first, second)
@@ -74,7 +74,7 @@ def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict
         )
     counts = {"both": 0, "only_first": 0, "only_second": 0, "neither": 0}
     for job, trial in one.items():
-        if not _same_start(trial["layout"], other[job]["layout"]):
+        if not _is_same_trial_start(trial["layout"], other[job]["layout"]):
             raise UsageError(f"--compare {name}: trial {job[1]} has another start: version or settings differ")
         good = trial["outcome"]["success"], other[job]["outcome"]["success"]
         which = {(True, True): "both", (True, False): "only_first", (False, True): "only_second"}.get(good, "neither")
@@ -88,7 +88,7 @@ def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict
     }
 
 
-def _same_start(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+def _is_same_trial_start(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     # Trials with a lost worker have no layout.
     if not one or not other:
         return True

@@ -14,21 +14,21 @@ from yamsim_cli.core.dataset.records import OutcomeRecord, record_data
 from yamsim_cli.core.episode.episode_rules import REPLAY_RULES
 from yamsim_cli.core.episode.execution import simulate_actions
 from yamsim_cli.core.episode.simulator import sample_roles_for
-from yamsim_cli.core.episode.trials import (
-    FilmedTrial,
-    TrialFrameRenderer,
-    TrialVideoWriter,
-    count_outcomes,
-    describe_run,
-    film_jobs,
-    run_trials,
-)
 from yamsim_cli.core.errors import PartialJobError
 from yamsim_cli.core.progress import Progress
 from yamsim_cli.core.statistics import summarize_values, wilson_interval_95
 from yamsim_cli.core.workers.executors import LostJobError
 from yamsim_cli.core.workers.process_pool import ProcessPool
-from yamsim_cli.core.workers.worker_pool import JOB_SECONDS
+from yamsim_cli.core.workers.worker_pool import JOB_TIMEOUT
+from yamsim_cli.trials import (
+    FilmedTrial,
+    TrialFrameRenderer,
+    TrialVideoWriter,
+    count_outcomes,
+    film_jobs,
+    run_trials,
+    trial_settings,
+)
 
 from .policy_choice import PolicyChoice
 from .policy_trial import MEASURED_ENDS, TrialEnd, TrialResult, TrialRunner
@@ -41,11 +41,11 @@ class Evaluation:
     choice: PolicyChoice
     results: tuple[TrialResult, ...]
     seconds: float
-    instances: tuple[str, ...]
+    object_instances: tuple[str, ...]
 
 
 def evaluate(
-    session: Session, choice: PolicyChoice, progress: Progress, trial_seconds: float = JOB_SECONDS
+    session: Session, choice: PolicyChoice, progress: Progress, trial_seconds: float = JOB_TIMEOUT
 ) -> Evaluation:
     """Run `config.episodes` trials of a policy, from the same starts as `yamsim trials` with that seed.
 
@@ -71,8 +71,10 @@ def describe_objects(session: Session, job: AttemptJob) -> str:
 def rates_by_objects(evaluation: Evaluation) -> list[dict[str, Any]]:
     """Return JSON data per assignment of objects (`instance`): success rate, its 95 % interval, and inference times."""
     rows = []
-    for name in dict.fromkeys(sorted(evaluation.instances)):
-        found = [result for result, own in zip(evaluation.results, evaluation.instances, strict=True) if own == name]
+    for name in dict.fromkeys(sorted(evaluation.object_instances)):
+        found = [
+            result for result, own in zip(evaluation.results, evaluation.object_instances, strict=True) if own == name
+        ]
         n, succeeded = len(found), sum(result.outcome.success for result in found)
         rows.append(
             {
@@ -110,7 +112,7 @@ def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: 
     """Return an evaluation as JSON data.
 
     Args:
-        thresholds: distances, m, for which success rates are computed in addition to that of the task.
+        thresholds: distances, m, for which success rates are computed, besides the task's own threshold.
     """
     results, tick = evaluation.results, config.task.timing.tick_seconds
     calls = [seconds for result in results for seconds in result.seconds]
@@ -130,18 +132,19 @@ def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: 
     return {
         "policy": evaluation.choice.name,
         "stats": stats,
-        **describe_run(config),
+        **trial_settings(config),
         "end_rule": evaluation.choice.end.value,
         "tick_s": tick,
         "seconds": evaluation.seconds,
         "ticks_per_second": sum(result.ticks for result in results) / evaluation.seconds,
         "trials": [
-            _trial_report(result, tick) | {"instance": evaluation.instances[k]} for k, result in enumerate(results)
+            _trial_report(result, tick) | {"instance": evaluation.object_instances[k]}
+            for k, result in enumerate(results)
         ],
     }
 
 
-def require_measured(report: Mapping[str, Any]) -> None:
+def require_measured_trials(report: Mapping[str, Any]) -> None:
     """Raise PartialJobError if all trials ended before they measured the policy's success."""
     ended = report["stats"]["ended"]
     if not any(TrialEnd(how) in MEASURED_ENDS for how in ended):

@@ -141,7 +141,7 @@ class ObservationBuilder:
             "joints": joints.ravel(),
             "gripper": openings if len(openings) > 1 else float(openings[0]),
             "ee_pose_world": squeeze_single_arm(T_base @ replica.T_grasp_in_base()),
-            "K_scene": replica.intrinsics(SCENE_CAMERA, config.image.size_px).K,
+            "K_scene": self._simulator.intrinsics(SCENE_CAMERA).K,
             "T_cam_in_world": T_base @ replica.T_cam_in_base(SCENE_CAMERA),
             "time": episode.simulated_seconds,
             "prompt": attempt.phrasing or task.language_prompt,

@@ -23,7 +23,7 @@ class PolicyChoice:
         time_limit: simulated time of a trial, s; None for the task's limit.
         arguments: for the constructor of a class of the user.
         mapping: a config in `configs/policies/` or a file, for policies of other programs; None for the default.
-        known_only: whether a class gets only the `arguments` that it accepts.
+        ignore_unknown_arguments: whether a class gets only the `arguments` that it accepts.
     """
 
     name: str
@@ -34,7 +34,7 @@ class PolicyChoice:
     arguments: Mapping[str, int | float | str] = field(default_factory=dict)
     mapping: str | None = None
     chunking: ChunkSettings = field(default_factory=ChunkSettings)
-    known_only: bool = False
+    ignore_unknown_arguments: bool = False
 
     def compared_with(self, name: str) -> PolicyChoice:
         """Return the choice of the policy `name` with the same limits, end rule and chunk settings.
@@ -46,5 +46,5 @@ class PolicyChoice:
             name=name,
             arguments=self.arguments if takes_keywords(name) else {},
             mapping=self.mapping if is_external(name) else None,
-            known_only=True,
+            ignore_unknown_arguments=True,
         )

@@ -23,7 +23,7 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.compiled import CompiledScene
 
 from .. import act, lerobot, openpi
-from ..external_policy import MappedPolicy, PolicyClient, PolicyStation
+from ..external_policy import MappedPolicy, PolicyClient, PolicyScene
 from ..policy_loading import EXTERNAL_FORMS, POLICY_FORMS, check_policy, is_external, load_policy, takes_keywords
 from ..policy_protocol import Observation, Policy
 from ..remote_policy import RemotePolicy
@@ -150,13 +150,21 @@ def make_policy(choice: PolicyChoice, session: Session) -> Policy:
     if kind in ("http", "https"):
         remote: Any = RemotePolicy(name, choice.call_seconds)
         return check_policy(remote, name)
-    return load_policy(name, folder, POLICY_FORMS, choice.arguments, known_only=choice.known_only)
+    return load_policy(
+        name, folder, POLICY_FORMS, choice.arguments, ignore_unknown_arguments=choice.ignore_unknown_arguments
+    )
 
 
 def _make_external(choice: PolicyChoice, session: Session) -> MappedPolicy:
     kind, _, rest = choice.name.partition(":")
     mapping = load_config(PolicyConfig, "policies", choice.mapping or _CONFIGS[kind], session.locations)
     station = policy_station(session.config)
+    chunking = choice.chunking
+    if mapping.realtime_chunking is not None and (chunking.execute is not None or chunking.ensemble is not None):
+        raise UsageError(
+            f"--execute and --ensemble are not for real-time chunking, which --policy-config {mapping.name} asks for: "
+            "set execute in its realtime_chunking"
+        )
     if kind == lerobot.SCHEME:
         local = choice.folder / rest
         checkpoint = lerobot.LeRobotClient(str(local) if local.is_dir() else rest, mapping)
@@ -169,11 +177,11 @@ def _make_external(choice: PolicyChoice, session: Session) -> MappedPolicy:
     return MappedPolicy(client, mapping, station)
 
 
-def policy_station(config: RecordConfig) -> PolicyStation:
+def policy_station(config: RecordConfig) -> PolicyScene:
     """Return the arms, cameras and objects on which a policy acts."""
     arms = [config.rig.arms[k] for k in config.rig.recording_order]
     cameras = {name: next(iter(keys)) for name, keys in available_cameras(config).items() if len(keys) == 1}
-    return PolicyStation(
+    return PolicyScene(
         config.rig.name,
         tuple(arm.side for arm in arms),
         len(arms[0].robot.joints) + 1,

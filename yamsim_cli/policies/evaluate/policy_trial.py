@@ -46,7 +46,7 @@ class TrialEnd(StrEnum):
     LOST = "policy_lost"
 
 
-FAULT_ENDS = (TrialEnd.RAISED, TrialEnd.INVALID, TrialEnd.SLOW, TrialEnd.LOST)
+POLICY_FAULT_ENDS = (TrialEnd.RAISED, TrialEnd.INVALID, TrialEnd.SLOW, TrialEnd.LOST)
 # Ends that measure the policy's success.
 MEASURED_ENDS = (TrialEnd.SUCCESS, TrialEnd.DONE, TrialEnd.TIME_LIMIT, TrialEnd.UNSTABLE)
 
@@ -100,7 +100,7 @@ class TrialRunner(Closable):
         self.simulators = SimulatorCache(session)
         self._wanted = wanted_images(self.policy), wanted_state(self.policy)
         execute = choice.chunking.execute or getattr(self.policy, "execute", None)
-        self._chunking = replace(choice.chunking, execute=execute)
+        self._chunking = replace(choice.chunking, execute=execute, lead=getattr(self.policy, "lead", None))
         policy_cameras(session.config, self._wanted[0])
 
     def run(self, job: AttemptJob) -> TrialResult:
@@ -122,7 +122,7 @@ class TrialRunner(Closable):
         if scripted:
             outcome = replace(outcome, recoveries=trial.expert_attempt.outcome.recoveries)
         record = OutcomeRecord.from_outcome(outcome)
-        if ended in FAULT_ENDS:
+        if ended in POLICY_FAULT_ENDS:
             record = record.model_copy(update={"success": False, "cause": ended.value, "detail": fault.text})
         actions = episode.executed_actions if episode.ticks else None
         return TrialResult(
@@ -159,7 +159,7 @@ class TrialRunner(Closable):
             self._caller.call(lambda: reset_policy(self.policy, _policy_seed(attempt.job)))
             while episode.end is None and not scheduler.last_chunk_is_over(episode.ticks):
                 if scheduler.is_due(episode.ticks):
-                    answer = self._request_answer(observer.observe(episode, attempt, renderer), renderer)
+                    answer = self._request_action(observer.observe(episode, attempt, renderer), renderer)
                     seconds.append(self._caller.seconds)
                     scheduler.add_chunk(read_chunk(answer, *observer.drive_shape), episode.ticks, self._caller.seconds)
                 ctrl, magnet = scheduler.command_at(episode.ticks)
@@ -179,7 +179,7 @@ class TrialRunner(Closable):
                     episode.step(ctrl, magnet)
         return TrialEnd.DONE if episode.end is None else TrialEnd(episode.end.reason.value), _NO_FAULT
 
-    def _request_answer(self, observation: Observation, renderer: ObservationRenderer) -> object:
+    def _request_action(self, observation: Observation, renderer: ObservationRenderer) -> object:
         try:
             return self._caller.call(lambda: self.policy(observation))
         finally:

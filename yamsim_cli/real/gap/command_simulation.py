@@ -13,10 +13,10 @@ from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from yamsim_cli.core.scene.compilation import physics_failure
 from yamsim_cli.core.scene.compiled import ArmAddresses, CompiledScene
 
-_CHECK_STEPS = 200  # physics steps between checks for a breakdown
-_START_SECONDS = 0.2  # s; errors in this time select the initial state
+_STEPS_PER_CHECK = 200  # physics steps between checks for a breakdown
+_START_FIT_SECONDS = 0.2  # s; errors in this time select the initial state
 _MIN_IMPROVEMENT = 2.0  # factor by which another initial state must reduce the error of a start at rest
-_SLOPE_SAMPLES = 6  # samples for the initial velocity
+_START_VELOCITY_SAMPLES = 6  # samples for the initial velocity
 
 
 def simulate_commands(scene: CompiledScene, motion: RecordedMotion) -> RecordedMotion:
@@ -42,8 +42,8 @@ def simulate_commands(scene: CompiledScene, motion: RecordedMotion) -> RecordedM
     check_arms(scene, motion)
     ctrl = _actuator_controls(scene, motion)
     start = _start_qpos(scene, motion)
-    first = int(np.searchsorted(motion.times, _START_SECONDS, side="right"))
-    steps = min(len(ctrl), int(np.ceil(_START_SECONDS / scene.model.opt.timestep)))
+    first = int(np.searchsorted(motion.times, _START_FIT_SECONDS, side="right"))
+    steps = min(len(ctrl), int(np.ceil(_START_FIT_SECONDS / scene.model.opt.timestep)))
     rest, moving, before = np.zeros(scene.model.nv), _start_qvel(scene, motion), ctrl[0] if len(ctrl) else None
     starts: list[tuple[Array, Array | None]] = [(rest, before)]
     if any(arm.command_delay for arm in scene.arms):
@@ -52,7 +52,7 @@ def simulate_commands(scene: CompiledScene, motion: RecordedMotion) -> RecordedM
         starts.append((moving, before))
     if len(starts) > 1 and first > 2:
         tried = (_simulate_controls(scene, motion.name, start, *one, ctrl[:steps]) for one in starts)
-        misfits = [_start_error(scene, motion, run, first) for run in tried]
+        misfits = [_error_after_start(scene, motion, run, first) for run in tried]
         best = int(np.argmin(misfits))
         starts = [starts[best if misfits[best] * _MIN_IMPROVEMENT < misfits[0] else 0]]
     run = _simulate_controls(scene, motion.name, start, *starts[0], ctrl)
@@ -111,7 +111,7 @@ def _simulate_controls(
         data.ctrl[:] = commands
         scene.step(data)
         qpos[k + 1], qvel[k + 1] = data.qpos, data.qvel
-        if (k % _CHECK_STEPS == 0 or k == len(ctrl) - 1) and (text := physics_failure(data)):
+        if (k % _STEPS_PER_CHECK == 0 or k == len(ctrl) - 1) and (text := physics_failure(data)):
             # MuJoCo has reset its own clock.
             raise SimulationError(f"{name}: physics broke down within {(k + 1) * model.opt.timestep:.3f} s: {text}")
     return _SimulatedRun(np.arange(len(ctrl) + 1) * model.opt.timestep, qpos, qvel)
@@ -150,7 +150,7 @@ def forward_fill(values: Array, before: Array) -> Array:
     filled = values.copy()
     if np.isfinite(values).all():
         return filled
-    for column, first in zip(filled.T, _first_known(before), strict=True):
+    for column, first in zip(filled.T, _first_finite_rows(before), strict=True):
         if not np.isfinite(column[0]):
             column[0] = first
         known = np.maximum.accumulate(np.where(np.isfinite(column), np.arange(len(column)), 0))
@@ -158,7 +158,7 @@ def forward_fill(values: Array, before: Array) -> Array:
     return filled
 
 
-def _first_known(rows: Array) -> Array:
+def _first_finite_rows(rows: Array) -> Array:
     finite = np.isfinite(rows)
     values: Array = np.where(finite.any(axis=0), rows[finite.argmax(axis=0), np.arange(rows.shape[1])], np.nan)
     return values
@@ -170,7 +170,7 @@ def _commanded_openings(arm: ArmAddresses, logged: ArmMotion) -> Array:
     for openings in (logged.commanded_openings, logged.openings):
         if openings is not None and np.isfinite(openings).any():
             seen = closed if logged.openings is None else logged.openings[:, None]
-            before = np.where(np.isfinite(_first_known(seen)), seen, openings[:, None])
+            before = np.where(np.isfinite(_first_finite_rows(seen)), seen, openings[:, None])
             return forward_fill(openings[:, None], before)[:, 0]
     return closed[:, 0]
 
@@ -178,9 +178,9 @@ def _commanded_openings(arm: ArmAddresses, logged: ArmMotion) -> Array:
 def _start_qpos(scene: CompiledScene, motion: RecordedMotion) -> Array:
     qpos: Array = scene.model.qpos0.copy()
     for arm, logged in zip(scene.arms, motion.arms, strict=True):
-        qpos[arm.joint_qpos] = _first_known(logged.joints) - arm.encoder_offset
+        qpos[arm.joint_qpos] = _first_finite_rows(logged.joints) - arm.encoder_offset
         if arm.fingers is not None:
-            measured = None if logged.openings is None else _first_known(logged.openings[:, None])[0]
+            measured = None if logged.openings is None else _first_finite_rows(logged.openings[:, None])[0]
             opening = (
                 measured if measured is not None and np.isfinite(measured) else _commanded_openings(arm, logged)[0]
             )
@@ -194,14 +194,14 @@ def _start_qvel(scene: CompiledScene, motion: RecordedMotion) -> Array:
         if logged.velocities is not None and np.isfinite(logged.velocities[0]).all():
             speeds[arm.joint_dof] = logged.velocities[0]
             continue
-        rows = np.flatnonzero(np.isfinite(logged.joints).all(axis=1))[:_SLOPE_SAMPLES]
-        if len(rows) >= 3 and motion.times[rows[-1]] <= _START_SECONDS:
+        rows = np.flatnonzero(np.isfinite(logged.joints).all(axis=1))[:_START_VELOCITY_SAMPLES]
+        if len(rows) >= 3 and motion.times[rows[-1]] <= _START_FIT_SECONDS:
             # A parabola separates velocity from acceleration.
             speeds[arm.joint_dof] = np.polyfit(motion.times[rows], logged.joints[rows], 2)[1]
     return speeds
 
 
-def _start_error(scene: CompiledScene, motion: RecordedMotion, run: _SimulatedRun, first: int) -> float:
+def _error_after_start(scene: CompiledScene, motion: RecordedMotion, run: _SimulatedRun, first: int) -> float:
     times = motion.times[:first]
     off = [
         _delayed_rows(arm, run, run.qpos[:, arm.joint_qpos], times) + arm.encoder_offset - logged.joints[:first]

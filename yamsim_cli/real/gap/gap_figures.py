@@ -22,7 +22,7 @@ from .joint_curves import (
     joints_at_rest,
     motion_phases,
     overshoot_after_stop,
-    smooth_curves,
+    resample_and_smooth,
 )
 
 _MIN_SAMPLES = 10
@@ -126,7 +126,7 @@ class MotionGap:
         error, phases: of all joints, rad, in total and by `MotionPhase`.
         joints, hands: the left arm's first.
         motion, simulated: measured and simulated, at the same samples.
-        compared: mask (n,) of compared samples.
+        is_compared: mask (n,) of compared samples.
     """
 
     name: str
@@ -138,7 +138,7 @@ class MotionGap:
     worst: WorstError
     motion: RecordedMotion
     simulated: RecordedMotion
-    compared: NDArray[np.bool_]
+    is_compared: NDArray[np.bool_]
 
 
 def measure_gap(scene: CompiledScene, motion: RecordedMotion, begin: float = 0.0, end: float = np.inf) -> MotionGap:
@@ -176,7 +176,7 @@ def measure_gap(scene: CompiledScene, motion: RecordedMotion, begin: float = 0.0
         worst=_find_worst_error(scene, motion, errors, counted),
         motion=motion,
         simulated=simulated,
-        compared=counted,
+        is_compared=counted,
     )
 
 
@@ -188,11 +188,13 @@ def _joint_gaps(
     at, errors = times[counted], (real.joints - made.joints)[counted]
     # The command curve also uses commands between measured samples.
     inside = (times >= at[0]) & (times <= at[-1])
-    commanded = smooth_curves(times[inside], forward_fill(real.commands, real.joints)[inside], steps=True, like=at)
-    measured, simulated = smooth_curves(at, real.joints[counted]), smooth_curves(at, made.joints[counted])
+    commanded = resample_and_smooth(
+        times[inside], forward_fill(real.commands, real.joints)[inside], steps=True, like=at
+    )
+    measured, simulated = resample_and_smooth(at, real.joints[counted]), resample_and_smooth(at, made.joints[counted])
     resting, labels = joints_at_rest(measured, commanded), motion_phases(measured, at)
 
-    def tracking_figures(first: SmoothCurves, second: SmoothCurves, k: int) -> TrackingFigures:
+    def measure_tracking(first: SmoothCurves, second: SmoothCurves, k: int) -> TrackingFigures:
         apart = (second.values - first.values)[resting[:, k], k]
         stopped = list(find_command_stops(commanded, k))
         beyond = [overshoot_after_stop(second.values[:, k], stop) for stop in stopped]
@@ -209,9 +211,9 @@ def _joint_gaps(
             arm=real.side,
             name=_joint_name(scene, arm, k),
             error=ErrorStats.from_errors(errors[:, k]),
-            measured_vs_simulated=tracking_figures(simulated, measured, k),
-            measured=tracking_figures(commanded, measured, k),
-            simulated=tracking_figures(commanded, simulated, k),
+            measured_vs_simulated=measure_tracking(simulated, measured, k),
+            measured=measure_tracking(commanded, measured, k),
+            simulated=measure_tracking(commanded, simulated, k),
             phases=_error_stats_by_phase(errors[:, k], labels[:, k]),
         )
         for k in range(arm.dof)
@@ -243,7 +245,9 @@ def _hand_gap(
         arm=real.side,
         position=ErrorStats.from_errors(apart),
         rotation=ErrorStats.from_errors(_angles_between(T_real[:, :3, :3], T_made[:, :3, :3])),
-        delay=estimate_delay(smooth_curves(at, T_made[:, :3, 3]), smooth_curves(at, T_real[:, :3, 3]), slice(None)),
+        delay=estimate_delay(
+            resample_and_smooth(at, T_made[:, :3, 3]), resample_and_smooth(at, T_real[:, :3, 3]), slice(None)
+        ),
         opening=opening,
     )
 

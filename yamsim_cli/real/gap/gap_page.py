@@ -22,7 +22,7 @@ from yamsim_cli.core.markup import (
 )
 from yamsim_cli.plots import Values, plot_curves
 
-_UNKNOWN = "\N{EM DASH}"  # figures that the recordings do not determine
+_UNKNOWN_VALUE_TEXT = "\N{EM DASH}"  # figures that the recordings do not determine
 _MIN_ERROR_SPAN = 0.2  # mrad, vertical range of an error plot
 
 
@@ -33,7 +33,7 @@ class JointCurves:
     Attributes:
         times: (n,), s.
         commanded, measured, simulated: (n,), rad; NaN where not measured.
-        mark: time of the worst error of all joints, s, if this joint has it.
+        worst_error_time: time of the worst error of all joints, s, if this joint has it.
     """
 
     name: str
@@ -41,7 +41,7 @@ class JointCurves:
     commanded: Values
     measured: Values
     simulated: Values
-    mark: float | None
+    worst_error_time: float | None
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def _hands_section(rows: Sequence[Mapping[str, Any]]) -> Markup:
             ),
             *(f"{_format_number(row[key])}\N{DEGREE SIGN}" for key in ("rms_deg", "max_deg")),
             _format_delay_ms(row),
-            _UNKNOWN if row["opening_rms_mm"] is None else f"{_format_number(row['opening_rms_mm'])} mm",
+            _UNKNOWN_VALUE_TEXT if row["opening_rms_mm"] is None else f"{_format_number(row['opening_rms_mm'])} mm",
         ]
         for row in rows
     ]
@@ -150,9 +150,11 @@ def _joint_plots_section(joints: Sequence[JointCurves], worst: Mapping[str, Any]
         lines = {"commanded": joint.commanded, "measured": joint.measured, "simulated": joint.simulated}
         error = (joint.measured - joint.simulated) * 1000
         title = f"{joint.name}: error"
-        error_plot = plot_curves(title, joint.times, {"error-curve": error}, "mrad", joint.mark, _MIN_ERROR_SPAN)
+        error_plot = plot_curves(
+            title, joint.times, {"error-curve": error}, "mrad", joint.worst_error_time, _MIN_ERROR_SPAN
+        )
         panels += [
-            captioned_plot(joint.name, plot_curves(joint.name, joint.times, lines, "rad", joint.mark), ""),
+            captioned_plot(joint.name, plot_curves(joint.name, joint.times, lines, "rad", joint.worst_error_time), ""),
             captioned_plot(title, error_plot, f"Largest error {np.nanmax(np.abs(error)):.3g} mrad."),
         ]
     where = (
@@ -215,12 +217,16 @@ def _format_errors(row: Mapping[str, Any]) -> list[str]:
 
 
 def _format_mrad(row: Mapping[str, Any], key: str) -> str:
-    return _UNKNOWN if row[key] is None else f"{_format_number(row[key] * 1000)}{_format_interval(row, key, 1000)}"
+    return (
+        _UNKNOWN_VALUE_TEXT
+        if row[key] is None
+        else f"{_format_number(row[key] * 1000)}{_format_interval(row, key, 1000)}"
+    )
 
 
 def _format_delay_ms(row: Mapping[str, Any]) -> str:
     if row["delay_s"] is None:
-        return _UNKNOWN
+        return _UNKNOWN_VALUE_TEXT
     return f"{_format_number(round(row['delay_s'] * 1000, 1))} ms{_format_interval(row, 'delay_s', 1000)}"
 
 

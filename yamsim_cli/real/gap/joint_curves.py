@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from yamsim_cli.core.geometry.se3 import Array
 
-GRID_STEP = 0.002  # s, spacing of the grid
+RESAMPLING_STEP = 0.002  # s, spacing of the grid
 _MIN_WINDOW, _MIN_SAMPLES = 0.12, 4  # s and samples of a parabola whose slope is a speed
 
 _MIN_DELAY, _MAX_DELAY = -0.1, 0.5  # s; delays at either end are rejected
@@ -19,7 +19,7 @@ _MIN_CORRELATION = 0.5  # correlation of speeds; below, no delay is determined
 _MIN_SPEED = 0.02  # RMS, rad/s or m/s; below, no delay is determined
 
 _STILL_SPEED = 0.02  # rad/s; slower joints are still
-_CRUISING_RATE = 1.0  # 1/s; a cruising joint's speed changes by less than this share per s
+_MAX_CRUISING_SPEED_CHANGE = 1.0  # 1/s; a cruising joint's speed changes by less than this share per s
 _SETTLING_SECONDS = 0.3  # s of stillness before a joint is at rest
 # A command stops if it moves _MIN_MOVE (rad) within _MOVE_SECONDS (s), then stays _MIN_HOLD (s).
 _MIN_MOVE, _MOVE_SECONDS, _MIN_HOLD = 0.02, 0.3, 0.3
@@ -36,17 +36,17 @@ class SmoothCurves:
     Attributes:
         times: (n,), s.
         values: (n, k), with `speeds` and `accelerations` per s and s2.
-        window: extent of each parabola, s.
+        smoothing_window: extent of each parabola, s.
     """
 
     times: Array
     values: Array
     speeds: Array
     accelerations: Array
-    window: float
+    smoothing_window: float
 
 
-def smooth_curves(times: Array, values: Array, *, steps: bool = False, like: Array | None = None) -> SmoothCurves:
+def resample_and_smooth(times: Array, values: Array, *, steps: bool = False, like: Array | None = None) -> SmoothCurves:
     """Resample values (m, k) at times (m,), s, on a uniform grid, without rows that are not finite.
 
     Args:
@@ -55,22 +55,23 @@ def smooth_curves(times: Array, values: Array, *, steps: bool = False, like: Arr
     """
     known = np.isfinite(values).all(axis=1)
     at, rows = times[known], values[known]
-    grid = np.arange(times[0], times[-1] + GRID_STEP / 2, GRID_STEP)
+    grid = np.arange(times[0], times[-1] + RESAMPLING_STEP / 2, RESAMPLING_STEP)
     if steps:
-        even = rows[np.clip(np.searchsorted(at, grid + GRID_STEP / 1000, side="right") - 1, 0, None)]
+        even = rows[np.clip(np.searchsorted(at, grid + RESAMPLING_STEP / 1000, side="right") - 1, 0, None)]
     else:
         even = np.column_stack([np.interp(grid, at, column) for column in rows.T])
     spaced = at if like is None else like
-    between = float(np.median(np.diff(spaced))) if len(spaced) > 1 else GRID_STEP
-    half = max(2, round(max(_MIN_WINDOW, _MIN_SAMPLES * between) / 2 / GRID_STEP))
+    between = float(np.median(np.diff(spaced))) if len(spaced) > 1 else RESAMPLING_STEP
+    half = max(2, round(max(_MIN_WINDOW, _MIN_SAMPLES * between) / 2 / RESAMPLING_STEP))
     speeds, accelerations = _parabola_derivatives(even, half)
-    return SmoothCurves(grid, even, speeds, accelerations, 2 * half * GRID_STEP)
+    return SmoothCurves(grid, even, speeds, accelerations, 2 * half * RESAMPLING_STEP)
 
 
 def _parabola_derivatives(rows: Array, half: int) -> tuple[Array, Array]:
-    offsets = np.arange(-half, half + 1) * GRID_STEP
+    offsets = np.arange(-half, half + 1) * RESAMPLING_STEP
     _, slope, bend = np.linalg.pinv(np.vander(offsets, 3, increasing=True))
-    # Beyond an end, the curve is turned by half a turn, which keeps the slope.
+    # Each end is extended by its last `half` samples, rotated by 180 degrees about the end sample. A mirror image would
+    # reverse the slope.
     reach = np.clip(np.arange(half, 0, -1), 0, len(rows) - 1)
     before = 2 * rows[0] - rows[reach]
     after = 2 * rows[-1] - rows[-1 - reach[::-1]]
@@ -90,7 +91,7 @@ def estimate_delay(first: SmoothCurves, second: SmoothCurves, columns: slice | i
     one, other = (np.atleast_2d(curves.speeds.T[columns]) for curves in (first, second))
     if min(np.sqrt(np.mean(one**2)), np.sqrt(np.mean(other**2))) < _MIN_SPEED:
         return None
-    low, high = round(_MIN_DELAY / GRID_STEP), round(_MAX_DELAY / GRID_STEP)
+    low, high = round(_MIN_DELAY / RESAMPLING_STEP), round(_MAX_DELAY / RESAMPLING_STEP)
     high = min(high, one.shape[1] // 2)
     low = max(low, -(one.shape[1] // 4))
     shares = np.array([_lagged_correlation(one, other, lag) for lag in range(low, high + 1)])
@@ -100,7 +101,7 @@ def estimate_delay(first: SmoothCurves, second: SmoothCurves, columns: slice | i
     before, here, after = shares[best - 1 : best + 2]
     bend = before - 2 * here + after
     between = 0.5 * (before - after) / bend if bend < 0 else 0.0
-    return float((low + best + between) * GRID_STEP)
+    return float((low + best + between) * RESAMPLING_STEP)
 
 
 def _lagged_correlation(one: Array, other: Array, lag: int) -> float:
@@ -132,8 +133,8 @@ def motion_phases(measured: SmoothCurves, times: Array) -> NDArray[np.int8]:
     fast = np.abs(speeds)
     rates = bends * np.sign(speeds) / np.maximum(fast, _STILL_SPEED)
     found = np.full(speeds.shape, PHASES.index(MotionPhase.CRUISING), np.int8)
-    found[rates > _CRUISING_RATE] = PHASES.index(MotionPhase.ACCELERATING)
-    found[rates < -_CRUISING_RATE] = PHASES.index(MotionPhase.BRAKING)
+    found[rates > _MAX_CRUISING_SPEED_CHANGE] = PHASES.index(MotionPhase.ACCELERATING)
+    found[rates < -_MAX_CRUISING_SPEED_CHANGE] = PHASES.index(MotionPhase.BRAKING)
     found[fast < _STILL_SPEED] = PHASES.index(MotionPhase.STILL)
     return found
 
@@ -165,7 +166,7 @@ def find_command_stops(commanded: SmoothCurves, joint: int) -> Iterator[CommandS
     moving = np.abs(commanded.speeds[:, joint]) >= _STILL_SPEED
     changes = np.flatnonzero(np.diff(moving.astype(np.int8)))
     ends = [int(k) + 1 for k in changes if moving[k]]
-    back, smeared = round(_MOVE_SECONDS / step), round(commanded.window / 2 / step)
+    back, smeared = round(_MOVE_SECONDS / step), round(commanded.smoothing_window / 2 / step)
     for end in ends:
         again = next((int(k) + 1 for k in changes if k >= end and not moving[k]), len(moving))
         if (again - end) * step < _MIN_HOLD:
@@ -182,5 +183,5 @@ def find_command_stops(commanded: SmoothCurves, joint: int) -> Iterator[CommandS
 def overshoot_after_stop(values: Array, stop: CommandStop) -> float:
     """Return the largest overshoot, at least 0, of values (n,) beyond their rest after a stop."""
     watched = values[stop.begin : stop.end]
-    rest = float(np.mean(watched[-max(1, round(_END_SECONDS / GRID_STEP)) :]))
+    rest = float(np.mean(watched[-max(1, round(_END_SECONDS / RESAMPLING_STEP)) :]))
     return max(0.0, float(np.max(stop.direction * (watched - rest))))

@@ -47,7 +47,7 @@ def build_report(gaps: Sequence[MotionGap], rig: str) -> dict[str, Any]:
             {
                 "name": gap.name,
                 "seconds": gap.seconds,
-                "samples": int(gap.compared.sum()),
+                "samples": int(gap.is_compared.sum()),
                 **_error_data(gap.error),
                 "joints": [_joint_data([joint]) for joint in gap.joints],
                 "hands": [_hand_data([hand]) for hand in gap.hands],
@@ -72,18 +72,18 @@ def require_gap_below(report: Mapping[str, Any], max_mrad: float | None) -> None
         worst = max(above, key=lambda joint: joint["rms_rad"])
         more = f" (and {len(above) - 1} more)" if len(above) > 1 else ""
         raise SimulationError(
-            f"{display_name(worst)} is off by {worst['rms_rad'] * 1000:.3g} mrad RMS{more}: --fail-above asks for at "
-            f"most {max_mrad:g}"
+            f"{joint_display_name(worst)} is off by {worst['rms_rad'] * 1000:.3g} mrad RMS{more}: --fail-above asks "
+            f"for at most {max_mrad:g}"
         )
 
 
-def display_name(row: Mapping[str, Any]) -> str:
+def joint_display_name(row: Mapping[str, Any]) -> str:
     """Return the name of a joint or a hand, such as `left joint2`."""
     return " ".join(part for part in (row["arm"], row.get("name", "hand")) if part)
 
 
 def _mean_figures(rows: Sequence[Any], figures: Callable[[Any], Mapping[str, float | None]]) -> dict[str, Any]:
-    """Return means of the rows' `hand_figures` with 95 % `intervals`; of names with `max`, maxima."""
+    """Return means of the rows' `hand_error_data` with 95 % `intervals`; of names with `max`, maxima."""
     values = [figures(row) for row in rows]
     known = {key: [value for one in values if (value := one[key]) is not None] for key in values[0]}
     largest = {key for key in known if "max" in key.split("_")}
@@ -120,7 +120,7 @@ def _tracking_data(found: TrackingFigures) -> dict[str, float | None]:
 
 
 def _hand_data(rows: Sequence[HandGap]) -> dict[str, Any]:
-    def hand_figures(row: HandGap) -> dict[str, float | None]:
+    def hand_error_data(row: HandGap) -> dict[str, float | None]:
         found: dict[str, float | None] = {}
         for key in ("rms", "p95", "max"):
             found[f"{key}_mm"] = getattr(row.position, key) * 1000
@@ -128,7 +128,7 @@ def _hand_data(rows: Sequence[HandGap]) -> dict[str, Any]:
             found[f"opening_{key}_mm"] = getattr(row.opening, key) * 1000 if row.opening else None
         return {**found, "delay_s": row.delay}
 
-    return {"arm": rows[0].arm, **_mean_figures(rows, hand_figures)}
+    return {"arm": rows[0].arm, **_mean_figures(rows, hand_error_data)}
 
 
 def _phase_data(rows: Sequence[Mapping[str, ErrorStats]]) -> list[dict[str, Any]]:
@@ -170,7 +170,7 @@ def write_gap_page(
 
 def _joint_curves(gap: MotionGap) -> list[JointCurves]:
     found = []
-    compared = np.flatnonzero(gap.compared)
+    compared = np.flatnonzero(gap.is_compared)
     shown = slice(int(compared[0]), int(compared[-1]) + 1)
     names = iter(gap.joints)
     for real, simulated in zip(gap.motion.arms, gap.simulated.arms, strict=True):
@@ -184,8 +184,8 @@ def _joint_curves(gap: MotionGap) -> list[JointCurves]:
                     f"{joint.arm} {joint.name}".strip(),
                     gap.motion.times[shown],
                     commands[shown, k],
-                    np.where(gap.compared, real.joints[:, k], np.nan)[shown],
-                    np.where(gap.compared, simulated.joints[:, k], np.nan)[shown],
+                    np.where(gap.is_compared, real.joints[:, k], np.nan)[shown],
+                    np.where(gap.is_compared, simulated.joints[:, k], np.nan)[shown],
                     gap.worst.time if marked else None,
                 )
             )

@@ -24,18 +24,18 @@ ESTIMATE_NAMES = {
     "gravity": "gravity_factor",
 }
 # Added half widths of intervals, because real physics differs from the model.
-_ADDED_DELAY = 0.0006  # s, a controller's timestep
+_MODEL_ERROR_DELAY = 0.0006  # s, a controller's timestep
 _ADDED_FRICTION_SHARE, _ADDED_DAMPING_SHARE, _ADDED_ARMATURE_SHARE = (
     0.03,
     0.02,
     0.05,
 )  # shares of the value: real friction may obey another law
-_FRICTION_AS_INERTIA = 0.05  # share of the friction torque that appears as inertia under another friction law
-_ADDED_OFFSET = 0.0004  # rad, an encoder's resolution
-_ADDED_GRAVITY = 0.003
+_MODEL_ERROR_INERTIA = 0.05  # share of the friction torque that appears as inertia under another friction law
+_MODEL_ERROR_OFFSET = 0.0004  # rad, an encoder's resolution
+_MODEL_ERROR_GRAVITY = 0.003
 _DETERMINED_SHARE = 0.7  # share of the prior's interval; a determined parameter's interval is narrower
 # Shares of the value; wider intervals refuse an identification.
-_MAX_HALF_WIDTHS = {"friction": 0.5, "damping": 0.6}
+_MAX_INTERVAL_HALF_WIDTHS = {"friction": 0.5, "damping": 0.6}
 
 # s, block of the logs with correlated errors: friction holds a joint beside its target until it reverses.
 _BLOCK_SECONDS = 2.5
@@ -116,18 +116,18 @@ def _min_half_width(plant: ParametricArm, fitted: FitResult, parameter: FitParam
     damped = float(plant.kv[k] + fitted.values.damping[k])
     match parameter.name:
         case "delay":
-            return _ADDED_DELAY
+            return _MODEL_ERROR_DELAY
         case "friction":
             return _ADDED_FRICTION_SHARE * size
         case "damping":
             return _ADDED_DAMPING_SHARE * damped
         case "armature":
             # When in a timestep the real controller applies damping is unknown; an error appears as inertia.
-            law = _FRICTION_AS_INERTIA * float(fitted.values.friction[k]) / max(float(fitted.accelerations[k]), 1e-3)
+            law = _MODEL_ERROR_INERTIA * float(fitted.values.friction[k]) / max(float(fitted.accelerations[k]), 1e-3)
             return _ADDED_ARMATURE_SHARE * size + damped * TIMESTEP / 4 + law
         case "offset":
-            return _ADDED_OFFSET
-    return _ADDED_GRAVITY
+            return _MODEL_ERROR_OFFSET
+    return _MODEL_ERROR_GRAVITY
 
 
 def require_determined(plant: ParametricArm, found: list[Estimate], name: str) -> None:
@@ -142,7 +142,7 @@ def require_determined(plant: ParametricArm, found: list[Estimate], name: str) -
             "friction": max(of_joint[ESTIMATE_NAMES["friction"]].value, 0.01 * plant.max_torque[number]),
             "damping": plant.kv[number] + of_joint[ESTIMATE_NAMES["damping"]].value,
         }
-        for key, share in _MAX_HALF_WIDTHS.items():
+        for key, share in _MAX_INTERVAL_HALF_WIDTHS.items():
             each = of_joint[ESTIMATE_NAMES[key]]
             if (each.high - each.low) / 2 > share * sizes[key]:
                 raise DatasetError(

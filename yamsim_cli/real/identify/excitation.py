@@ -226,7 +226,9 @@ class CollisionSpace:
 
     def __init__(self, rig: RigConfig, number: int, scene: SceneConfig, locations: Locations) -> None:
         arm = rig.arms[number]
-        spec = compose_scene(Blueprint(rig, scene.for_span(rig.arm_span), boards=False, background=False), locations)
+        spec = compose_scene(
+            Blueprint(rig, scene.widened_for_arm_distance(rig.arm_span), boards=False, background=False), locations
+        )
         model = add_home_key(spec, rig, {})
         self._model = copy.copy(model)
         self._data = mujoco.MjData(model)

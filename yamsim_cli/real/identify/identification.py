@@ -16,13 +16,13 @@ from yamsim_cli.core.robots.dynamics import JointDynamics, MeasuredArmDynamics
 
 from ..recordings.motion_faults import MotionFault, find_faults
 from .estimates import Estimate, describe_undetermined, estimate_parameters, require_determined
-from .parameter_fit import all_parameters, compared_samples, fit_parameters
+from .parameter_fit import all_parameters, fit_parameters, samples_in_fit
 from .plant_model import ArmLog, LogSimulation, ParametricArm, PlantParameters
 
 _HELD_OUT_SHARE = 1 / 3  # share of each log that tests the fit if no other motions do
 _RUNS_PER_PARAMETER = 5  # approximate, for the progress bar
 # Faults of unusable logs. `check_logs_usable` reports joints that stand still, with advice.
-_GRAVE_FAULTS = (
+_FAULTS_REFUSING_LOGS = (
     MotionFault.TIME_UNIT,
     MotionFault.GAP,
     MotionFault.DEGREES,
@@ -35,8 +35,8 @@ _GRAVE_FAULTS = (
 _MIN_SECONDS = 10.0  # s, total length of the logs
 _MIN_SPAN = 0.1  # rad, range of the joint's motion
 _MIN_REVERSALS = 4  # reversals of the joint's motion
-_MIN_SPEED = 0.15  # rad/s that a joint must reach in the share _FAST_SHARE of the logs
-_FAST_SHARE = 0.05  # share of the logs' time
+_MIN_SPEED = 0.15  # rad/s that a joint must reach in the share _MIN_FAST_TIME_SHARE of the logs
+_MIN_FAST_TIME_SHARE = 0.05  # share of the logs' time
 _REVERSAL_DISTANCE = 0.02  # rad that a joint moves back before a reversal counts
 _SPEED_PERIOD = 0.1  # s, interval over which a speed is computed
 _REMEDY = "`yamsim excite` writes a motion that determines all parameters"
@@ -140,7 +140,9 @@ def identify_arms(
         estimated = estimate_parameters(plant, fitted)
         require_determined(plant, estimated, ", ".join(log.name for log in logs))
         was = arm.dynamics or MeasuredArmDynamics(revision=revision, base=arm.model.name)
-        dynamics = revised_dynamics(plant, was.model_copy(update={"revision": revision, "source": source}), estimated)
+        dynamics = dynamics_with_estimates(
+            plant, was.model_copy(update={"revision": revision, "source": source}), estimated
+        )
         gap = _held_out_gap(plant, fitted.values, others)
         gripper = not plant.fingers or all(log.openings is not None for log in logs)
         unknown = describe_undetermined(estimated, gripper)
@@ -168,7 +170,7 @@ def _check_motion(motion: RecordedMotion, rig: RigConfig) -> None:
                 f"{motion.name}{f', {arm.side} arm' if arm.side else ''}: has no commands for its joints; "
                 "measurements alone do not determine the parameters: record both"
             )
-    grave = [problem for problem in find_faults(motion, rig) if problem.fault in _GRAVE_FAULTS]
+    grave = [problem for problem in find_faults(motion, rig) if problem.fault in _FAULTS_REFUSING_LOGS]
     if grave:
         raise DatasetError(f"{motion.name}: {grave[0].text}")
 
@@ -176,7 +178,7 @@ def _check_motion(motion: RecordedMotion, rig: RigConfig) -> None:
 def _held_out_gap(plant: ParametricArm, values: PlantParameters, logs: Sequence[ArmLog]) -> HeldOutError:
     runs = [LogSimulation(plant, log) for log in logs]
     before, after = (
-        np.concatenate([(run.simulate(one, plain=True) - run.log.joints)[compared_samples(run)] for run in runs])
+        np.concatenate([(run.simulate(one, plain=True) - run.log.joints)[samples_in_fit(run)] for run in runs])
         for one in (plant.model_values, values)
     )
     names = plant.robot.joint_names
@@ -185,7 +187,9 @@ def _held_out_gap(plant: ParametricArm, values: PlantParameters, logs: Sequence[
     return HeldOutError(", ".join(log.name for log in logs), seconds, _rms(before), _rms(after), joints)
 
 
-def revised_dynamics(plant: ParametricArm, was: MeasuredArmDynamics, found: Sequence[Estimate]) -> MeasuredArmDynamics:
+def dynamics_with_estimates(
+    plant: ParametricArm, was: MeasuredArmDynamics, found: Sequence[Estimate]
+) -> MeasuredArmDynamics:
     """Return `was` with the determined estimates."""
     known = {(each.joint, each.name): each.value if each.is_determined else each.model_value for each in found}
     joints = {}
@@ -251,7 +255,7 @@ def _too_little_motion(paths: Sequence[tuple[Array, Array]]) -> str | None:
             f"{times}, so friction cannot be distinguished from an offset or from weight; record it swinging back and "
             f"forth at least {_MIN_REVERSALS} times"
         )
-    fast = float(np.quantile(np.concatenate([_average_speeds(*path) for path in paths]), 1 - _FAST_SHARE))
+    fast = float(np.quantile(np.concatenate([_average_speeds(*path) for path in paths]), 1 - _MIN_FAST_TIME_SHARE))
     if fast < _MIN_SPEED:
         return (
             f"is always slow: it rarely exceeds {fast:.3f} rad/s, and identification needs {_MIN_SPEED} rad/s; record "

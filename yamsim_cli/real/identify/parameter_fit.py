@@ -16,7 +16,7 @@ from yamsim_cli.core.geometry.se3 import Array
 
 from .plant_model import FINE_TIMESTEP, ArmLog, LogSimulation, ParametricArm, PlantParameters
 
-_SKIPPED_START = 0.5  # s of a log, in which speed and friction are unknown
+_SKIPPED_START_SECONDS = 0.5  # s of a log, in which speed and friction are unknown
 _MIN_ERROR = 1e-4  # rad, of a joint's RMS error, whose inverse is its weight
 _ACCELERATION_PERIOD = 0.04  # s, between positions that give an acceleration
 _MAX_STEPS, _MAX_FINE_STEPS = 6, 4  # fit steps with TIMESTEP, then with FINE_TIMESTEP
@@ -118,7 +118,7 @@ class _ParameterProblem(LeastSquares[PlantParameters, _LinearizedFit]):
     def joint_errors(self, values: PlantParameters) -> Array:
         """Return simulated minus measured joints (samples, dof), rad."""
         self._step()
-        return np.concatenate([(run.simulate(values) - run.log.joints)[compared_samples(run)] for run in self._runs])
+        return np.concatenate([(run.simulate(values) - run.log.joints)[samples_in_fit(run)] for run in self._runs])
 
     def prior_residuals(self, values: PlantParameters) -> Array:
         return np.array(
@@ -149,9 +149,9 @@ class _ParameterProblem(LeastSquares[PlantParameters, _LinearizedFit]):
         return bool(np.abs(step).max() < _MIN_STEP or 0 <= float(gain) < _MIN_GAIN * known.cost)
 
 
-def compared_samples(run: LogSimulation) -> NDArray[np.bool_]:
+def samples_in_fit(run: LogSimulation) -> NDArray[np.bool_]:
     """Return the mask (n,) of samples with measured joints, without the start."""
-    found: NDArray[np.bool_] = run.measured_mask & (run.log.times >= min(_SKIPPED_START, run.log.duration / 10))
+    found: NDArray[np.bool_] = run.measured_mask & (run.log.times >= min(_SKIPPED_START_SECONDS, run.log.duration / 10))
     return found
 
 
@@ -203,7 +203,7 @@ def fit_parameters(arm: ArmConfig, logs: Sequence[ArmLog], step: Callable[[], No
             break
         values = problem.apply_step(values, moved)
     offsets = np.concatenate([[0.0], np.cumsum([log.duration + 1 for log in logs])])
-    times = np.concatenate([run.log.times[compared_samples(run)] + at for run, at in zip(runs, offsets, strict=False)])
+    times = np.concatenate([run.log.times[samples_in_fit(run)] + at for run, at in zip(runs, offsets, strict=False)])
     return FitResult(values, problem.parameters, errors, slopes, problem.weights, times, _rms_accelerations(logs))
 
 

@@ -18,7 +18,7 @@ from yamsim_cli.core.scene.arm_model import arm_spec
 TIMESTEP, FINE_TIMESTEP = 0.002, 0.0005  # s: of tasks, and one too short to bias a fit
 
 _MIN_INERTIA = 2e-4  # kg m2, armature plus half the moved links' inertia
-_POSES = 64  # random poses
+_RANDOM_POSES = 64  # random poses
 _DEFAULT_FRICTION_SPEED = 0.005  # rad/s, prior mean of `PlantParameters.friction_velocity`
 _GRAVITY_PERIOD = 0.01  # s between computations of gravity torques
 _MIN_FRICTION, _MIN_FRICTION_SPEED = 1e-6, 1e-5  # N m and rad/s; keep the solver finite
@@ -113,7 +113,7 @@ class ParametricArm:
         self._links = _link_inertias(model, self.qpos, self.dof, robot.joint_range)
         self.model_values = _model_parameters(model, self.dof, robot.joint_names, arm.dynamics)
 
-    def plain_model(self, values: PlantParameters) -> mujoco.MjModel:
+    def task_model(self, values: PlantParameters) -> mujoco.MjModel:
         """Return the model with this friction, armature and damping, as tasks simulate it.
 
         `LogSimulation.simulate` applies delay, offsets and gravity factors.
@@ -128,8 +128,8 @@ class ParametricArm:
         return model
 
     def fitted_model(self, values: PlantParameters) -> mujoco.MjModel:
-        """Return `plain_model` with armatures corrected for the timestep, and friction rising with speed."""
-        model = self.plain_model(values)
+        """Return `task_model` with armatures corrected for the timestep, and friction rising with speed."""
+        model = self.task_model(values)
         # Damping at the end of a step would make a fit find too little inertia.
         taken = values.armature - (self.kv + values.damping) * self.timestep / 2
         model.dof_armature[self.dof] = np.maximum(taken, _MIN_INERTIA - self._links / 2)
@@ -176,9 +176,9 @@ class LogSimulation:
         self._data = mujoco.MjData(plant.model)
 
     def simulate(self, values: PlantParameters, *, plain: bool = False) -> Array:
-        """Return simulated encoder readings (n, dof), rad; `plain` uses `plain_model`, as tasks do."""
+        """Return simulated encoder readings (n, dof), rad; `plain` uses `task_model`, as tasks do."""
         plant, log = self.plant, self.log
-        model = plant.plain_model(values) if plain else plant.fitted_model(values)
+        model = plant.task_model(values) if plain else plant.fitted_model(values)
         controls = np.zeros((1, self._steps, model.nu + model.nv))
         controls[0, :, plant.drives] = self._delayed_commands(
             values.delay - (self.plant.timestep / 2 if plain else 0)
@@ -250,7 +250,7 @@ def _link_inertias(model: mujoco.MjModel, qpos: Array, dof: Array, ranges: Array
     data, full = mujoco.MjData(model), np.empty((model.nv, model.nv))
     rng = np.random.default_rng(0)
     least = np.full(len(dof), np.inf)
-    for _ in range(_POSES):
+    for _ in range(_RANDOM_POSES):
         data.qpos[qpos] = rng.uniform(*ranges.T)
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, full)

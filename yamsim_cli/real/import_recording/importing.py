@@ -25,7 +25,7 @@ from yamsim_cli.core.dataset.disk_errors import describe_disk_error
 from yamsim_cli.core.dataset.imported_records import ImportedFrom, RealEpisodeRecord, read_imported_config
 from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame
 from yamsim_cli.core.dataset.records import to_json
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode, claim_directory
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode, claim_directory
 from yamsim_cli.core.episode.attempt_payload import library_versions
 from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError, UsageError
 from yamsim_cli.core.files.documents.yaml_document import dump_yaml
@@ -41,7 +41,7 @@ from ..recordings.motion_reading import detect_format, format_reader
 from ..recordings.recording import Recording, SampleIndices
 
 # Fault that refuses an import -> flag that corrects it. An episode's record lists other faults.
-_CORRECTED_BY = {
+_FLAG_CORRECTING_FAULT = {
     MotionFault.DEGREES: "--degrees",
     MotionFault.SWAPPED_ARMS: "--swap-arms",
     MotionFault.GRIPPER_SHARE: "--gripper share",
@@ -84,7 +84,7 @@ class ImportRequest:
     mapping: str | None = None
     corrections: Corrections = field(default_factory=Corrections)
     out: Path = Path("real")
-    mode: OpenMode = OpenMode.NEW
+    mode: ExistingDatasetMode = ExistingDatasetMode.NEW
 
 
 @dataclass
@@ -94,14 +94,14 @@ class ImportReport:
     Attributes:
         path: of the dataset.
         episodes, frames: written.
-        kept: episodes that existed before.
+        kept_episodes: episodes that existed before.
         moved_aside: path of a moved older dataset.
     """
 
     path: Path
     episodes: int = 0
     frames: int = 0
-    kept: int = 0
+    kept_episodes: int = 0
     problems: dict[str, list[str]] = field(default_factory=dict)
     moved_aside: Path | None = None
 
@@ -112,7 +112,7 @@ class ImportReport:
             "source": "real",
             "episodes": self.episodes,
             "frames": self.frames,
-            "kept": self.kept,
+            "kept": self.kept_episodes,
             "problems": self.problems,
             "moved_aside": str(self.moved_aside) if self.moved_aside else None,
         }
@@ -149,7 +149,7 @@ def import_recordings(request: ImportRequest, locations: Locations, progress: Pr
         for number, (name, recording) in enumerate(read):
             progress(number, len(read))
             if number in existing:
-                report.kept += 1
+                report.kept_episodes += 1
             else:
                 _publish_episode(number, name, recording, request, report)
         progress(len(read), len(read))
@@ -165,7 +165,7 @@ def _corrected_recordings(path: Path, request: ImportRequest, locations: Locatio
     for recording in format_reader(name)(path, request.rig, request.mapping, locations):
         made = _apply_corrections(recording, request.corrections, request.rig)
         for problem in find_faults(made.motion_in_metres(request.rig), request.rig):
-            if (flag := _CORRECTED_BY.get(problem.fault)) is not None:
+            if (flag := _FLAG_CORRECTING_FAULT.get(problem.fault)) is not None:
                 raise DatasetError(f"{recording.motion.name}: {problem.text} If so, add {flag}")
         yield name, made
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 # Linux `struct can_frame`: identifier with flags, length, three bytes of padding, data.
 _CAN_FRAME = struct.Struct("=IB3x8s")
 FRAME_BYTES = _CAN_FRAME.size
-_FLAGS = 0xE0000000  # extended, remote and error frames, which motors ignore
+_IGNORED_ID_FLAGS = 0xE0000000  # extended, remote and error frames, which motors ignore
 _MAX_DATA_BYTES = 8
 
 BROADCAST_ID = 0x7FF  # register and status frames, which all motors receive; the data names one motor
@@ -51,7 +51,7 @@ class MotorRange(NamedTuple):
 def parse_frame(wire: bytes) -> CanFrame | None:
     """Decode 16 bytes; None for a frame that motors ignore."""
     identifier, length, data = _CAN_FRAME.unpack(wire)
-    if identifier & _FLAGS or identifier > BROADCAST_ID or length > _MAX_DATA_BYTES:
+    if identifier & _IGNORED_ID_FLAGS or identifier > BROADCAST_ID or length > _MAX_DATA_BYTES:
         return None
     return CanFrame(identifier, data[:length])
 

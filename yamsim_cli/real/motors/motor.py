@@ -13,11 +13,11 @@ from .can_frames import CanFrame, MitCommand, MotorRange
 AMBIENT_CELSIUS = 25.0  # degrees Celsius, around a motor
 # K, steady rise of a rotor at rated torque. At the default limit of 100 degrees Celsius, it gives rated torque without
 # limit, and 1.2 times that for minutes. An assumption: no figures are published.
-_RATED_RISE = 55.0
-_THERMAL_SECONDS = 300.0  # s, time constant of the rotor. An assumption: no figure is published
-_DRIVER_SHARE = 0.5  # driver's temperature rise over the rotor's. An assumption
+_RATED_TEMPERATURE_RISE = 55.0
+_THERMAL_TIME_CONSTANT = 300.0  # s, time constant of the rotor. An assumption: no figure is published
+_DRIVER_RISE_SHARE = 0.5  # driver's temperature rise over the rotor's. An assumption
 # Degrees Celsius; a register has the rotor's limit. Source: DAMIAO's DM-J43 manual, "protections".
-_DRIVER_LIMIT = 120.0
+_MAX_DRIVER_CELSIUS = 120.0
 _ZERO_COMMAND = MitCommand(0.0, 0.0, 0.0, 0.0, 0.0)
 
 # Registers that affect the emulated motor. Source: DAMIAO's manual.
@@ -30,7 +30,7 @@ _INTEGER_REGISTERS = frozenset({7, 8, 9, 10, 13, 14, 15, 16, 35, 36})
 # Source: DAMIAO's manual.
 _WRITABLE_REGISTERS = frozenset({*range(11), *range(21, 36)})
 _POSITIVE_REGISTERS = frozenset({PMAX, VMAX, TMAX})  # positive and finite: `quantize` divides by them
-_LARGEST_ID = 0x7FE
+_MAX_MOTOR_ID = 0x7FE
 _FIRMWARE_VERSION = 0x53494D  # "SIM" in ASCII: identifies a simulated motor
 # Register -> factory value: protections (V, degrees Celsius, A), gains of loops that MIT mode does not use.
 _FACTORY_VALUES = {
@@ -50,20 +50,20 @@ class MotorKind:
 
     Attributes:
         name: in the maker's SDK.
-        scale: of values in frames. Source: `motor_drivers/utils.py` in the maker's SDK 1.3.6.
-        gear: ratio, by which programs identify the type. Source: the file of `scale`.
-        rated: continuous torque, N m. Source: DAMIAO's tables.
+        value_ranges: of values in frames. Source: `motor_drivers/utils.py` in the maker's SDK 1.3.6.
+        gear_ratio: by which programs identify the type. Source: the same file.
+        rated_torque: continuous torque, N m. Source: DAMIAO's tables.
     """
 
     name: str
-    scale: MotorRange
+    value_ranges: MotorRange
     gear_ratio: float
     rated_torque: float
 
     @property
     def rise_per_squared_torque(self) -> float:
         """Final temperature rise of the rotor per squared torque, K/(N m)2."""
-        return _RATED_RISE / self.rated_torque**2
+        return _RATED_TEMPERATURE_RISE / self.rated_torque**2
 
 
 MOTOR_KINDS = {
@@ -82,7 +82,7 @@ class Registers:
 
     def __init__(self, kind: MotorKind, motor: int) -> None:
         own = {MST_ID: motor + 16, ESC_ID: motor, TIMEOUT: _FACTORY_TIMEOUT, CTRL_MODE: MIT_MODE, GR: kind.gear_ratio}
-        scale = {PMAX: kind.scale.position, VMAX: kind.scale.velocity, TMAX: kind.scale.torque}
+        scale = {PMAX: kind.value_ranges.position, VMAX: kind.value_ranges.velocity, TMAX: kind.value_ranges.torque}
         self._saved: dict[int, float] = {**_FACTORY_VALUES, 15: motor, ROTOR_POSITION: 0.0, XOUT: 0.0, **own, **scale}
         self._values = dict(self._saved)
 
@@ -125,7 +125,7 @@ class Registers:
         if register in _POSITIVE_REGISTERS:
             return 1e-3 <= value <= 1e6
         if register in (ESC_ID, MST_ID):
-            return 0 < value <= _LARGEST_ID
+            return 0 < value <= _MAX_MOTOR_ID
         return True
 
 
@@ -162,7 +162,7 @@ class Motor:
         self._command = _ZERO_COMMAND
         self._zero = 0.0
         self._last_frame_time = 0.0
-        self._scale = kind.scale
+        self._scale = kind.value_ranges
 
     @property
     def command_id(self) -> int:
@@ -172,12 +172,12 @@ class Motor:
     @property
     def max_torque(self) -> float:
         """Largest torque, N m: the smaller of TMAX and its kind's limit."""
-        return min(self._scale.torque, self.kind.scale.torque)
+        return min(self._scale.torque, self.kind.value_ranges.torque)
 
     @property
     def driver_celsius(self) -> float:
         """Temperature of the driver's transistors."""
-        return AMBIENT_CELSIUS + _DRIVER_SHARE * (self.celsius - AMBIENT_CELSIUS)
+        return AMBIENT_CELSIUS + _DRIVER_RISE_SHARE * (self.celsius - AMBIENT_CELSIUS)
 
     def control_law(self) -> tuple[float, float, float]:
         """Return (kp, kd, constant): the torque is `constant - kp position - kd velocity`, N m, up to `max_torque`."""
@@ -228,13 +228,13 @@ class Motor:
     def advance(self, now: float, seconds: float) -> None:
         """Advance by `seconds` to `now`, s: heat up, and enter an error state if too hot or past the timeout."""
         rise = self.kind.rise_per_squared_torque * self.torque**2
-        self.celsius += (AMBIENT_CELSIUS + rise - self.celsius) * min(1.0, seconds / _THERMAL_SECONDS)
+        self.celsius += (AMBIENT_CELSIUS + rise - self.celsius) * min(1.0, seconds / _THERMAL_TIME_CONSTANT)
         if self.status is not MotorStatus.ENABLED:
             return
         timeout = self.registers[TIMEOUT] * _TIMEOUT_UNIT
         if self.celsius > self.registers[OT_VALUE]:
             self._enter_error_state(MotorStatus.ROTOR_TOO_HOT)
-        elif self.driver_celsius > _DRIVER_LIMIT:
+        elif self.driver_celsius > _MAX_DRIVER_CELSIUS:
             self._enter_error_state(MotorStatus.DRIVER_TOO_HOT)
         elif timeout and now - self._last_frame_time > timeout:
             self._enter_error_state(MotorStatus.LOST_COMMUNICATION)

@@ -20,6 +20,7 @@ _FAULT_KEYS = {LOST: ("motor",), HOT: ("motor", "celsius"), DROP: ("share",), ST
 _COMMON_KEYS = ("channel", "at", "for")
 # Valid values; `at` and `for` in s, `celsius` in degrees Celsius.
 _RANGES = {"motor": (1, 15), "at": (0, 86_400), "for": (0, 86_400), "celsius": (0, 250), "share": (0, 1)}
+_FIELD_OF_KEY = {"at": "start_time", "for": "seconds", "share": "lost_frame_share"}  # where the names differ
 _EXAMPLE = "lost:motor=3,at=5,for=2"
 
 
@@ -30,18 +31,18 @@ class BusFault:
     Attributes:
         kind: LOST, HOT, DROP or STUCK.
         channel: empty for all buses.
-        at, seconds: start and duration in simulation time.
+        start_time, seconds: start and duration in simulation time.
         celsius: of a hot rotor.
-        share: of dropped frames, in each direction.
+        lost_frame_share: of dropped frames, in each direction.
     """
 
     kind: str
     channel: str = ""
     motor: int = 0
-    at: float = 0.0
+    start_time: float = 0.0
     seconds: float = float("inf")
     celsius: float = 110.0
-    share: float = 0.1
+    lost_frame_share: float = 0.1
 
 
 def parse_fault(text: str) -> BusFault:
@@ -61,7 +62,7 @@ def parse_fault(text: str) -> BusFault:
         key, _, value = part.partition("=")
         if key not in valid:
             raise UsageError(f"--fault {text!r}: a {kind} fault has no {key!r}; valid: {', '.join(valid)}")
-        field = "seconds" if key == "for" else key
+        field = _FIELD_OF_KEY.get(key, key)
         if field in given:
             raise UsageError(f"--fault {text!r}: {key} is given twice")
         given[field] = value if key == "channel" else _parse_fault_number(text, key, value)
@@ -105,19 +106,19 @@ class MotorBus:
     def send(self, frame: CanFrame, now: float) -> list[CanFrame]:
         """Send a frame to all motors; return answers that no fault drops."""
         self.frames_received += 1
-        if self._drops_frame():
+        if self._loses_next_frame():
             return []
         answers = [answer for motor in self.motors if (answer := motor.answer_frame(frame, now)) is not None]
-        return [answer for answer in answers if not self._drops_frame()]
+        return [answer for answer in answers if not self._loses_next_frame()]
 
     def advance_to(self, now: float) -> None:
         """Advance to `now`, s: update motors, and begin and end faults."""
         if (seconds := now - self._updated) < _UPDATE_SECONDS:
             return
         self._updated = now
-        acting = [fault for fault in self._faults if fault.at <= now < fault.at + fault.seconds]
+        acting = [fault for fault in self._faults if fault.start_time <= now < fault.start_time + fault.seconds]
         self.is_gripper_stuck = any(fault.kind == STUCK for fault in acting)
-        self._drop_share = max((fault.share for fault in acting if fault.kind == DROP), default=0.0)
+        self._drop_share = max((fault.lost_frame_share for fault in acting if fault.kind == DROP), default=0.0)
         lost = {fault.motor for fault in acting if fault.kind == LOST}
         hot = {fault.motor: fault.celsius for fault in acting if fault.kind == HOT}
         for motor in self.motors:
@@ -129,7 +130,7 @@ class MotorBus:
             elif not motor.is_unplugged and motor.number in lost:
                 motor.power_off()
 
-    def _drops_frame(self) -> bool:
+    def _loses_next_frame(self) -> bool:
         lost = self._drop_share > 0 and self._random.random() < self._drop_share
         self.frames_dropped += lost
         return lost

@@ -16,13 +16,13 @@ from yamsim_cli.core.recorded_motion import ArmMotion
 
 from .recording import motion_sides
 
-KIND = "recordings"  # folder of namings in configs/
+CONFIG_KIND = "recordings"  # folder of namings in configs/
 
 
 def candidate_namings(mapping: str | None, locations: Locations) -> list[RecordingNames]:
     """Return the naming `mapping`, or if None, all of `configs/recordings/`."""
-    names = locations.config_names(KIND) if mapping is None else [mapping]
-    return [load_config(RecordingNames, KIND, name, locations) for name in names]
+    names = locations.config_names(CONFIG_KIND) if mapping is None else [mapping]
+    return [load_config(RecordingNames, CONFIG_KIND, name, locations) for name in names]
 
 
 def arm_keys(rig: RigConfig) -> list[str]:
@@ -52,7 +52,7 @@ def find_naming(
         if names.arms and _first_missing_column(names, columns, rig) is None:
             return names
     raise DatasetError(
-        f"{source}: its columns are {', '.join(columns)}, and no naming in configs/{KIND}/ fits those and rig "
+        f"{source}: its columns are {', '.join(columns)}, and no naming in configs/{CONFIG_KIND}/ fits those and rig "
         f"{rig.name!r}; name each arm's columns with --mapping names.yaml, or give another --rig"
     )
 

@@ -22,7 +22,7 @@ from .recording import motion_sides
 
 TIME_COLUMN = "t"
 _COMMAND, _POSITION, _VELOCITY = "command", "position", "velocity"
-_GRIPPER = "gripper"
+_GRIPPER_COLUMN = "gripper"
 
 _MAX_BYTES = 1 << 30  # three hours at 250 Hz are 0.6 GB
 
@@ -36,7 +36,7 @@ def csv_columns(rig: RigConfig) -> list[str]:
             _column_name(kind, side, joint)
             for kind in (_COMMAND, _POSITION)
             for side, robot in zip(motion_sides(rig), robots, strict=True)
-            for joint in (*robot.joint_names, *([_GRIPPER] if robot.fingers else []))
+            for joint in (*robot.joint_names, *([_GRIPPER_COLUMN] if robot.fingers else []))
         ),
     ]
 
@@ -129,8 +129,8 @@ def _arm_motions(columns: Mapping[str, Array], rig: RigConfig, path: Path) -> tu
                 side,
                 measured,
                 _stack_joint_values(columns, _COMMAND, side, joints, path),
-                columns.get(_column_name(_POSITION, side, _GRIPPER)),
-                columns.get(_column_name(_COMMAND, side, _GRIPPER)),
+                columns.get(_column_name(_POSITION, side, _GRIPPER_COLUMN)),
+                columns.get(_column_name(_COMMAND, side, _GRIPPER_COLUMN)),
                 _stack_joint_values(columns, _VELOCITY, side, joints, path),
             )
         )

@@ -19,18 +19,37 @@ from yamsim_cli.core.images.jpeg import encode_jpeg
 from yamsim_cli.core.images.video import decode_packets
 from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 
-from .column_names import KIND, arm_keys, candidate_namings
+from .column_names import CONFIG_KIND, arm_keys, candidate_namings
 from .recording import JPEG_QUALITY, CameraImages, Recording, SampleIndices, motion_sides, times_from_nanoseconds
 
 _MAX_MESSAGES = 5_000_000
 # s, relative to the first arm's state. A later start of a topic is an error, an earlier end a problem.
-_LATEST_START = _EARLIEST_END = 1.0
+_MAX_START_DELAY = _EARLIEST_END = 1.0
 
 TopicRows = list[tuple[int, Array]]  # time (ns) and values of a topic's messages
 
 
+def mcap_files(path: Path) -> list[Path]:
+    """Return a file itself, or the MCAP files in a folder and its subfolders."""
+    return sorted(path.rglob("*.mcap")) if path.is_dir() else [path]
+
+
 def read_mcap(path: Path, rig: RigConfig, mapping: str | None, locations: Locations) -> list[Recording]:
-    """Return the one recording of an MCAP file.
+    """Return the recordings of an MCAP file, or of all in a folder.
+
+    Raises:
+        DatasetError: the folder has no such file; or as for a file.
+        ConfigError: `mapping` does not exist or does not fit.
+        ResourceError: mcap is not installed.
+    """
+    files = mcap_files(path)
+    if not files:
+        raise DatasetError(f"{path}: contains no .mcap file; give a file, or a folder with such files")
+    return [_read_file(file, rig, mapping, locations) for file in files]
+
+
+def _read_file(path: Path, rig: RigConfig, mapping: str | None, locations: Locations) -> Recording:
+    """Return the recording of an MCAP file.
 
     Samples are the first arm's state messages; other topics give their last value before each.
 
@@ -66,26 +85,26 @@ def read_mcap(path: Path, rig: RigConfig, mapping: str | None, locations: Locati
     pictures = {
         camera: _camera_images(path, topic, stamps) for topic, camera in names.cameras.items() if topic in topics
     }
-    return [Recording(motion, names.gripper, pictures, prompt, problems=tuple(_early_ends(rows, stamps)))]
+    return Recording(motion, names.gripper, pictures, prompt, problems=tuple(_early_end_problems(rows, stamps)))
 
 
 def _arm_motions(
     path: Path, rig: RigConfig, names: RecordingNames, rows: Mapping[str, TopicRows], stamps: SampleIndices
 ) -> tuple[ArmMotion, ...]:
-    def values_of(topic: str | None, width: int) -> Array | None:
+    def topic_values(topic: str | None, width: int) -> Array | None:
         return _last_values(rows[topic], stamps, width, f"{path} {topic}") if topic and topic in rows else None
 
     motions = []
     for side, key, k in zip(motion_sides(rig), arm_keys(rig), rig.recording_order, strict=True):
         arm, dof = names.topics[key], rig.arms[k].robot.dof
-        joints = values_of(arm.state, dof)
+        joints = topic_values(arm.state, dof)
         assert joints is not None, "the naming fits"
-        measured, commanded = values_of(arm.gripper_state, 1), values_of(arm.gripper_action, 1)
+        measured, commanded = topic_values(arm.gripper_state, 1), topic_values(arm.gripper_action, 1)
         motions.append(
             ArmMotion(
                 side,
                 joints,
-                values_of(arm.action, dof),
+                topic_values(arm.action, dof),
                 None if measured is None else measured[:, 0],
                 None if commanded is None else commanded[:, 0],
             )
@@ -93,7 +112,7 @@ def _arm_motions(
     return tuple(motions)
 
 
-def _early_ends(rows: Mapping[str, TopicRows], stamps: SampleIndices) -> Iterator[str]:
+def _early_end_problems(rows: Mapping[str, TopicRows], stamps: SampleIndices) -> Iterator[str]:
     for topic, messages in sorted(rows.items()):
         if messages and (early := (stamps[-1] - messages[-1][0]) * 1e-9) > _EARLIEST_END:
             yield f"{topic} ends {early:.1f} s before the arm's state, and keeps its last value: was it cut off?"
@@ -109,7 +128,7 @@ def _matching_naming(
     error = ConfigError if mapping else DatasetError
     raise error(
         f"{path}: its topics are {', '.join(topics) or 'none'}, and "
-        + (f"--mapping {mapping}" if mapping else f"no naming in configs/{KIND}/")
+        + (f"--mapping {mapping}" if mapping else f"no naming in configs/{CONFIG_KIND}/")
         + f" does not name the states of rig {rig.name!r} among them; give --mapping names.yaml or another --rig"
     )
 
@@ -119,7 +138,7 @@ def _last_values(rows: TopicRows, stamps: SampleIndices, width: int, source: str
     if not rows:
         raise DatasetError(f"{source}: contains no message")
     when = np.array([time for time, _ in rows], dtype=np.int64)
-    if when[0] - stamps[0] > _LATEST_START * 1e9:
+    if when[0] - stamps[0] > _MAX_START_DELAY * 1e9:
         raise DatasetError(
             f"{source}: begins {(when[0] - stamps[0]) * 1e-9:.1f} s after the arm's state; was it cut off?"
         )

@@ -115,7 +115,7 @@ def _degree_faults(arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
     most = np.nanmax(np.abs(turned), axis=0)
     k = int(np.argmax(most))
     if most[k] > _MAX_ANGLE:
-        name = _full_name(arm, robot.joint_names[k])
+        name = _arm_and_joint_name(arm, robot.joint_names[k])
         text = f"{name} is at {most[k]:.3g}, which no joint reaches in rad; are these degrees?"
         yield MotionProblem(MotionFault.DEGREES, text)
 
@@ -127,8 +127,8 @@ def _beyond_stops_faults(times: Array, arm: ArmMotion, robot: Robot) -> Iterator
         if (most := np.nanmax(beyond[:, k])) > _LIMIT_TOLERANCE:
             at = int(np.nanargmax(beyond[:, k]))
             text = (
-                f"{_full_name(arm, name)} is at {arm.joints[at, k]:.3f} rad at {times[at]:.2f} s, {most:.3f} rad "
-                f"beyond its limits ({low[k]:.3f} to {high[k]:.3f}); is its model or its zero position different?"
+                f"{_arm_and_joint_name(arm, name)} is at {arm.joints[at, k]:.3f} rad at {times[at]:.2f} s, {most:.3f} "
+                f"rad beyond its limits ({low[k]:.3f} to {high[k]:.3f}); is its model or its zero position different?"
             )
             yield MotionProblem(MotionFault.BEYOND_STOPS, text, float(times[at]))
 
@@ -143,9 +143,9 @@ def _too_fast_faults(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[Mot
         if fast.any():
             at = int(np.argmax(fast))
             text = (
-                f"{_full_name(arm, joint.name)} jumps from {joints[at, k]:.3f} to {joints[at + 1, k]:.3f} rad at "
-                f"{when[at]:.2f} s, faster than its drive can report ({joint.reported_rad_s:g} rad/s); were recordings "
-                "joined, or samples lost?"
+                f"{_arm_and_joint_name(arm, joint.name)} jumps from {joints[at, k]:.3f} to {joints[at + 1, k]:.3f} rad "
+                f"at {when[at]:.2f} s, faster than its drive can report ({joint.reported_rad_s:g} rad/s); were "
+                "recordings joined, or samples lost?"
             )
             yield MotionProblem(MotionFault.TOO_FAST, text, float(when[at]))
 
@@ -161,8 +161,9 @@ def _frozen_joint_faults(times: Array, arm: ArmMotion, robot: Robot) -> Iterator
             seconds, moved = when[end - 1] - when[first], np.ptp(commands[first:end, k])
             if seconds >= _FROZEN_SECONDS and moved > _FROZEN_COMMAND:
                 text = (
-                    f"{_full_name(arm, name)} was measured at exactly {joints[first, k]:.4f} rad for {seconds:.2f} s "
-                    f"from {when[first]:.2f} s on, while its command moved by {moved:.2f} rad; was its bus silent?"
+                    f"{_arm_and_joint_name(arm, name)} was measured at exactly {joints[first, k]:.4f} rad for "
+                    f"{seconds:.2f} s from {when[first]:.2f} s on, while its command moved by {moved:.2f} rad; was its "
+                    "bus silent?"
                 )
                 yield MotionProblem(MotionFault.FROZEN, text, float(when[first]))
                 break
@@ -171,7 +172,7 @@ def _frozen_joint_faults(times: Array, arm: ArmMotion, robot: Robot) -> Iterator
 def _gripper_faults(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
     if arm.openings is None or robot.fingers is None:
         return
-    name, widest = _full_name(arm, "gripper"), robot.fingers.range[1]
+    name, widest = _arm_and_joint_name(arm, "gripper"), robot.fingers.range[1]
     known = ~np.isnan(arm.openings)
     measured = arm.openings[known]
     if measured.max() > _OPENING_FACTOR * widest:
@@ -194,7 +195,7 @@ def _mirrored_gripper_faults(name: str, times: Array, measured: Array, commanded
     ):
         text = f"{name} closes while commanded to open (correlation {r:.2f}): is one of the two signals inverted?"
         yield MotionProblem(MotionFault.GRIPPER_UPSIDE_DOWN, text)
-    elif (stall := _first_stall(times, measured, commanded)) is not None:
+    elif (stall := _first_opening_stall(times, measured, commanded)) is not None:
         text = (
             f"{name} stops short while commanded to open, from {stall:.2f} s on, and never while commanded to close, "
             "when objects can be in its way: is its signal inverted? If so, import it with --mirror-gripper both"
@@ -202,7 +203,7 @@ def _mirrored_gripper_faults(name: str, times: Array, measured: Array, commanded
         yield MotionProblem(MotionFault.GRIPPER_STALLS_OPENING, text, stall)
 
 
-def _first_stall(times: Array, measured: Array, commanded: Array) -> float | None:
+def _first_opening_stall(times: Array, measured: Array, commanded: Array) -> float | None:
     """Return when fingers first stall while opening, s; None if never, or if they stall while closing."""
     ahead = measured - commanded
     still = np.abs(np.gradient(measured, times)) < _STILL_SPEED
@@ -235,5 +236,5 @@ def _rms(errors: Array) -> float:
     return float(np.sqrt(np.nanmean(errors**2)))
 
 
-def _full_name(arm: ArmMotion, joint: str) -> str:
+def _arm_and_joint_name(arm: ArmMotion, joint: str) -> str:
     return f"{arm.side}_{joint}" if arm.side else joint

@@ -17,9 +17,11 @@ from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.recorded_motion import RecordedMotion
 
+from .abc_training_files import is_abc_training, read_abc_training
 from .csv_file import read_csv
 from .lerobot_files import INFO_FILE, read_lerobot
-from .mcap_file import read_mcap
+from .maker_files import is_maker_data, read_maker
+from .mcap_file import mcap_files, read_mcap
 from .raiden_files import ROBOT_DATA, read_lowdim, read_raiden_raw
 from .recording import Recording, split_arms
 
@@ -32,8 +34,10 @@ _READERS: Mapping[str, Reader] = {
     "lowdim": lambda path, rig, mapping, where: read_lowdim(path, rig),
     "lerobot": read_lerobot,
     "mcap": read_mcap,
+    "maker": lambda path, rig, mapping, where: read_maker(path, rig),
+    "abc_training": lambda path, rig, mapping, where: read_abc_training(path, rig),
 }
-_BY_ENDING = {".csv": "csv", ".mcap": "mcap", ".npz": "raiden_raw"}
+_FORMAT_OF_SUFFIX = {".csv": "csv", ".mcap": "mcap", ".npz": "raiden_raw"}
 
 
 def detect_format(path: Path) -> str:
@@ -45,8 +49,8 @@ def detect_format(path: Path) -> str:
     if not path.exists():
         raise DatasetError(f"{path} does not exist")
     if path.is_file():
-        if path.suffix.lower() in _BY_ENDING:
-            return _BY_ENDING[path.suffix.lower()]
+        if path.suffix.lower() in _FORMAT_OF_SUFFIX:
+            return _FORMAT_OF_SUFFIX[path.suffix.lower()]
     elif (path / ROBOT_DATA).is_file():
         return "raiden_raw"
     elif (path / INFO_FILE).is_file():
@@ -55,9 +59,15 @@ def detect_format(path: Path) -> str:
         raise DatasetError(f"{path}: is already an episode or a dataset of yamsim, and needs no import")
     elif (path / "lowdim").is_dir() or any(path.glob("*/lowdim")):
         return "lowdim"
+    elif is_maker_data(path):
+        return "maker"
+    elif is_abc_training(path):
+        return "abc_training"
+    elif mcap_files(path):
+        return "mcap"
     raise DatasetError(
         f"{path}: is not a known kind of recording; valid: a .csv or .mcap, a robot_data.npz or its folder, a folder "
-        "with rgb/ and lowdim/ or of such folders, a LeRobot dataset"
+        "with rgb/ and lowdim/ or of such folders, a LeRobot dataset, episodes of the maker's or of ABC's"
     )
 
 

@@ -45,14 +45,14 @@ from .recording import (
 
 ROBOT_DATA = "robot_data.npz"
 
-_FOLLOWERS = {"left": "follower_l", "right": "follower_r"}  # side -> prefix in a raw recording
+_FOLLOWER_PREFIXES = {"left": "follower_l", "right": "follower_r"}  # side -> prefix in a raw recording
 _METADATA_FILE = "metadata.json"
 _TIMESTAMPS_FILE = "timestamps.npy"
 _JPEG_SUFFIXES = (".jpg", ".jpeg")
 _PICTURE_SUFFIXES = (*_JPEG_SUFFIXES, ".png")
 _MAX_RAW_BYTES = 1 << 30  # a larger file is no recording of one task
 _MAX_FRAME_BYTES = 1 << 20
-_SHARE_FACTOR = 1.5  # multiple of the fingers' range; larger openings are shares, not metres
+_MIN_SHARE_RATIO = 1.5  # multiple of the fingers' range; larger openings are shares, not metres
 
 
 def read_raiden_raw(path: Path, rig: RigConfig) -> list[Recording]:
@@ -90,8 +90,8 @@ def read_raiden_raw(path: Path, rig: RigConfig) -> list[Recording]:
 
 def _follower_prefix(side: str, arrays: Mapping[str, NDArray[np.generic]], file: Path) -> str:
     if side:
-        return _FOLLOWERS[side]
-    recorded = [name for name in _FOLLOWERS.values() if f"{name}_joint_pos_7d" in arrays]
+        return _FOLLOWER_PREFIXES[side]
+    recorded = [name for name in _FOLLOWER_PREFIXES.values() if f"{name}_joint_pos_7d" in arrays]
     if len(recorded) != 1:
         raise DatasetError(
             f"{file}: holds {len(recorded)} followers, and the rig has one arm; give a --rig with as many arms"
@@ -203,7 +203,9 @@ def _gripper_unit(folder: Path, joints: Array, rig: RigConfig) -> GripperUnit:
     """Return `share` if raiden's converter wrote the folder or openings exceed the range, else `metres`."""
     fingers = [rig.arms[k].robot.fingers for k in rig.recording_order]
     widest = max((one.range[1] for one in fingers if one), default=0.0)
-    return "share" if (folder / _METADATA_FILE).exists() or joints[..., -1].max() > _SHARE_FACTOR * widest else "metres"
+    return (
+        "share" if (folder / _METADATA_FILE).exists() or joints[..., -1].max() > _MIN_SHARE_RATIO * widest else "metres"
+    )
 
 
 def _camera_files(folder: Path, frames: int) -> dict[str, list[Path]]:

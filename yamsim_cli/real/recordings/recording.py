@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +17,8 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.documents.config_base import NAME_PATTERN
 from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.images.jpeg import encode_jpeg
+from yamsim_cli.core.images.video import read_video_frames
 from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 
 SampleIndices = NDArray[np.int64]  # sample numbers, or times in ns
@@ -105,6 +110,39 @@ def split_arms(
             )
         )
     return tuple(motions)
+
+
+def read_json_object(file: Path) -> dict[str, Any]:
+    """Return the content of a JSON file of another program. Raise DatasetError if it is no readable JSON object."""
+    try:
+        content = json.loads(file.read_bytes())
+    except OSError as error:
+        raise DatasetError(f"{file} cannot be read: {error.strerror or error}; was it copied whole?") from error
+    except ValueError as error:
+        raise DatasetError(f"{file} is not valid JSON: {error}; was it copied whole?") from error
+    if not isinstance(content, dict):
+        raise DatasetError(f"{file}: is {str(content)[:60]!r}; valid: a JSON object")
+    return content
+
+
+def video_jpegs(film: Path, count: int, part: int = 0, parts: int = 1) -> Iterator[bytes]:
+    """Yield the `count` images of a video as JPEGs, or of each the part number `part` of `parts` above each other.
+
+    Raises:
+        DatasetError: the video cannot be read, or has another number of images or of rows of pixels.
+    """
+    found = 0
+    for image in read_video_frames(film, 0.0, count + 1, 0.0):
+        height, rest = divmod(image.shape[0], parts)
+        if rest:
+            raise DatasetError(f"{film}: is {image.shape[0]} px high; valid: a multiple of {parts} cameras")
+        found += 1
+        if found > count:
+            break
+        yield encode_jpeg(np.ascontiguousarray(image[part * height : (part + 1) * height]), JPEG_QUALITY)
+    if found != count:
+        more = "more than " if found > count else ""
+        raise DatasetError(f"{film}: has {more}{min(found, count)} images for {count} samples: was it copied whole?")
 
 
 def times_from_nanoseconds(stamps: ArrayLike, source: str) -> Array:

@@ -47,7 +47,7 @@ class CameraServer(UnixServer):
         for client, (camera, after) in list(self._requests.items()):
             if shot is not None and shot.number > after:
                 del self._requests[client]
-                _queue_picture(client, camera, shot)
+                _queue_picture_answer(client, camera, shot)
         super().flush()
         for client in clients:
             if client.received and not client.outgoing:
@@ -84,7 +84,7 @@ class CameraServer(UnixServer):
             self._requests[client] = str(camera), after
 
 
-def _queue_picture(client: ClientConnection, camera: str, shot: CameraFrames) -> None:
+def _queue_picture_answer(client: ClientConnection, camera: str, shot: CameraFrames) -> None:
     picture = shot.pictures[camera]
     height, width, _ = picture.shape
     header = {"camera": camera, "number": shot.number, "time_ns": shot.time_ns, "sim_time": shot.sim_time}

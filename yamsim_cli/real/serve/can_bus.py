@@ -17,8 +17,8 @@ from ..motors import can_frames as frames
 from ..motors.can_frames import CanFrame
 from .socket_servers import ClientConnection, UnixServer
 
-READ_FRAMES = 256  # frames per read, limited so that a flood of frames does not stop physics
-_READ_BYTES = READ_FRAMES * frames.FRAME_BYTES
+MAX_FRAMES_PER_READ = 256  # frames per read, limited so that a flood of frames does not stop physics
+_READ_BYTES = MAX_FRAMES_PER_READ * frames.FRAME_BYTES
 _BACKLOG_BYTES = 4096 * frames.FRAME_BYTES  # unsent bytes of a client; further frames are lost, as in a full adapter
 
 # Plugin that replaces python-can's `socketcan`, only for programs that `yamsim can-run` starts.
@@ -88,7 +88,7 @@ class KernelBus:
 
     def receive(self, ready: set[socket.socket]) -> Iterator[CanFrame]:
         """Yield the received frames."""
-        for _ in range(READ_FRAMES if self._socket in ready else 0):
+        for _ in range(MAX_FRAMES_PER_READ if self._socket in ready else 0):
             try:
                 frame = frames.parse_frame(self._socket.recv(frames.FRAME_BYTES))
             except OSError:

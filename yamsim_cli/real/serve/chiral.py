@@ -47,7 +47,7 @@ class _ChiralConnection:
         began: s of the monotonic clock.
         messages: unanswered, oldest first.
         parts: of an incomplete message.
-        pending: request that waits for images from simulated time `images_since`, s, or later.
+        pending: request that waits for images from simulated time `min_image_sim_time`, s, or later.
         drives: has sent an action, so the arms stop when its connection ends.
     """
 
@@ -56,7 +56,7 @@ class _ChiralConnection:
     messages: deque[bytes] = field(default_factory=deque)
     parts: bytearray = field(default_factory=bytearray)
     pending_request: str = ""
-    images_since: float = 0.0
+    min_image_sim_time: float = 0.0
     has_sent_action: bool = False
 
 
@@ -161,7 +161,7 @@ class ChiralServer(TcpServer):
             self._robot.queue_action(numbers)
             connection.has_sent_action = True
         else:
-            connection.pending_request, connection.images_since = kind, 0.0
+            connection.pending_request, connection.min_image_sim_time = kind, 0.0
             if kind == _RESET:
                 self._robot.reset()
 
@@ -169,8 +169,8 @@ class ChiralServer(TcpServer):
         robot, shot = self._robot, self._robot.camera_frames
         is_reset = connection.pending_request == _RESET
         if is_reset and robot.is_going_home:
-            connection.images_since = robot.sim_time
-        elif shot is not None and shot.sim_time >= connection.images_since:
+            connection.min_image_sim_time = robot.sim_time
+        elif shot is not None and shot.sim_time >= connection.min_image_sim_time:
             connection.pending_request = ""
             connection.protocol.send_binary(_observation_message(robot.observe(shot), is_reset=is_reset))
             return True
@@ -232,7 +232,7 @@ def _observation_message(observation: RobotObservation, *, is_reset: bool) -> by
     parts: list[bytes] = []
     at = 0
 
-    def append_part(data: bytes) -> tuple[int, int]:
+    def append_binary_part(data: bytes) -> tuple[int, int]:
         nonlocal at
         parts.append(data)
         at += len(data)
@@ -240,7 +240,7 @@ def _observation_message(observation: RobotObservation, *, is_reset: bool) -> by
 
     cameras = []
     for name, view in observation.views.items():
-        start, size = append_part(view.picture.tobytes())
+        start, size = append_binary_part(view.picture.tobytes())
         cameras.append(
             {
                 "name": name,
@@ -255,7 +255,7 @@ def _observation_message(observation: RobotObservation, *, is_reset: bool) -> by
         )
     proprios = []
     for name, values in observation.proprios.items():
-        start, size = append_part(np.asarray(values, np.float32).tobytes())
+        start, size = append_binary_part(np.asarray(values, np.float32).tobytes())
         proprios.append({"name": name, "dtype": "float32", "offset": start, "size": size})
     header = {
         "type": "reset_response" if is_reset else "obs_response",

@@ -17,7 +17,7 @@ from ..motors.can_config import CanConfig, GripperCanConfig
 from ..motors.motor import Motor
 from ..motors.motor_bus import MotorBus
 
-_STUCK_MASS = 1e9  # kg, armature that no motor can move
+_STUCK_GRIPPER_ARMATURE = 1e9  # kg, armature that no motor can move
 _IMPRATIO = 10.0  # MuJoCo's option; above 1, objects held by friction alone slip less
 _CHECK_STEPS = 50
 
@@ -105,8 +105,8 @@ class MotorSimulation:
     def step(self) -> None:
         """Advance physics and motors by one timestep. Raises `SimulationError` if physics breaks down."""
         self._apply_control_laws()
-        # MuJoCo's gravity compensation cancels the links' weight; this force restores it, scaled by each joint's load.
-        # `qfrc_gravcomp` is the previous step's.
+        # The model's gravity compensation cancels the links' weight, which the motors have to carry here. So the weight
+        # is applied again, times each joint's load from the CAN config. `qfrc_gravcomp` is that of the previous step.
         data = self.data
         data.qfrc_applied[:] = -self._weight_factors * data.qfrc_gravcomp
         mujoco.mj_step(self._model, data)
@@ -144,7 +144,7 @@ class MotorSimulation:
     def _set_gripper_stuck(self, arm: int, stuck: bool) -> None:
         self._stuck[arm] = stuck
         if (fingers := self._fingers[arm]) is not None:
-            self._model.dof_armature[fingers.dof] = _STUCK_MASS if stuck else self._armature[fingers.dof]
+            self._model.dof_armature[fingers.dof] = _STUCK_GRIPPER_ARMATURE if stuck else self._armature[fingers.dof]
             self.data.qvel[fingers.dof] = 0.0
 
 

@@ -24,9 +24,9 @@ from .follower import JointController
 from .motor_simulation import MotorSimulation
 from .render_process import CameraFrames, RenderProcess
 
-_ACTION_S = 0.1  # s
-_HOME_S = 2.0  # s, motion home after a reset
-_COMMAND_S = 0.01  # s between a motion's commands
+_ACTION_DURATION_S = 0.1  # s
+_HOMING_DURATION_S = 2.0  # s, motion home after a reset
+_COMMAND_PERIOD_S = 0.01  # s between a motion's commands
 _MAX_JOINT_STEP = 0.2  # rad, from a joint to its command
 _MAX_QUEUED = 32  # waiting actions; further ones are discarded
 _IMAGE_SIDE = 384  # px, of the square to which images are stretched
@@ -73,7 +73,7 @@ class HandKinematics:
         self._solver = IkSolver(model, np.eye(4), _ROTATION_COSTS)
         home = np.array(arm.robot.home)
         T_pinch, T_grasp = (self._forward.T_site_in_base(home, site) for site in ("pinch_site", "grasp_site"))
-        self._solver.set_held_frame(invert_pose(T_pinch) @ T_grasp)
+        self._solver.set_held_object_frame(invert_pose(T_pinch) @ T_grasp)
 
     def T_in_base(self, joints: Array) -> Array:
         """Return the hand's pose (4, 4) in the arm's base, at joints (dof,), rad."""
@@ -164,7 +164,7 @@ class PolicyRobot:
     @property
     def is_going_home(self) -> bool:
         """Whether the arms still move home after a reset."""
-        return self._motion is not None and self._motion.duration == _HOME_S
+        return self._motion is not None and self._motion.duration == _HOMING_DURATION_S
 
     @property
     def sim_time(self) -> float:
@@ -177,7 +177,7 @@ class PolicyRobot:
         self._actions.clear()
         self.stop_reason = ""
         self._commanded = None
-        self._motion = _Interpolation(self._measured_row(), goal, self._plant.sim_time, _HOME_S)
+        self._motion = _Interpolation(self._measured_row(), goal, self._plant.sim_time, _HOMING_DURATION_S)
 
     def stop(self, why: str) -> None:
         """Hold current positions, and ignore actions until the next reset."""
@@ -201,7 +201,7 @@ class PolicyRobot:
         if self.stop_reason or self.is_going_home:
             return
         row = numbers if len(numbers) == self._joint_numbers else self._joints_from_hand_poses(numbers)
-        if fault := self._is_too_far(row):
+        if fault := self._jump_message(row):
             self.stop(fault)
             return
         self._commanded = row
@@ -216,11 +216,11 @@ class PolicyRobot:
         if self._motion is None and self._actions:
             command = self._commanded_row()
             start = self._measured_row() if command is None else command
-            self._motion = _Interpolation(start, self._actions.popleft(), now, _ACTION_S)
+            self._motion = _Interpolation(start, self._actions.popleft(), now, _ACTION_DURATION_S)
         motion = self._motion
         if motion is None or now < self._next_command:
             return
-        self._next_command = now + _COMMAND_S
+        self._next_command = now + _COMMAND_PERIOD_S
         share = min((now - motion.start_time) / motion.duration, 1.0)
         self._send_row((1 - share) * motion.start + share * motion.goal)
         if share == 1.0:
@@ -266,7 +266,7 @@ class PolicyRobot:
             found.append(np.append(hand.solve_joints(pose_from_rotation_rows(position, row), start[:-1]), grip))
         return np.concatenate(found)
 
-    def _is_too_far(self, row: Array) -> str:
+    def _jump_message(self, row: Array) -> str:
         off = np.abs(row - self._measured_row())
         ends = np.cumsum(self._widths)
         off[ends - 1] = 0.0  # may move through their whole range

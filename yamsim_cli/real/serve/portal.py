@@ -23,7 +23,7 @@ from .socket_servers import ClientConnection, TcpServer
 _READ_BYTES = 65_536
 _BACKLOG_BYTES = 1_000_000  # unsent bytes; above, a client is dropped
 
-HANDSHAKE = b"portal_handshake"  # first bytes of a client
+HANDSHAKE_BYTES = b"portal_handshake"  # first bytes of a client
 _MAX_MESSAGE_BYTES = 65_536  # a command has some hundred bytes
 _MAX_LEAVES = 256
 _MAX_DEPTH = 8  # lists and dictionaries in a call's arguments
@@ -82,10 +82,10 @@ class PortalServer(TcpServer):
 def _next_message(client: ClientConnection) -> bytes | None:
     received = client.received
     if not client.handshake_done:
-        head = bytes(received[: len(HANDSHAKE)])
-        if not HANDSHAKE.startswith(head):
+        head = bytes(received[: len(HANDSHAKE_BYTES)])
+        if not HANDSHAKE_BYTES.startswith(head):
             raise PortalError("the client does not speak portal")
-        if len(head) < len(HANDSHAKE):
+        if len(head) < len(HANDSHAKE_BYTES):
             return None
         client.handshake_done = True
         del received[: len(head)]

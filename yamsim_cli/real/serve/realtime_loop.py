@@ -14,8 +14,8 @@ from ..motors.can_frames import CanFrame
 from .can_bus import KernelBus, UnixBus
 from .motor_simulation import MotorSimulation
 
-_MAX_CATCH_UP = 0.1  # s; a later simulation skips the lost time
-_EARLY_ANSWERS = 7  # without gaps, so that a late program regains its rate
+_MAX_CATCH_UP = 0.1  # s; a simulation that is further behind real time skips the lost time
+_MAX_EARLY_ANSWERS = 7  # without gaps, so that a late program regains its rate
 _MAX_QUEUED = 64  # answers of a bus; further frames are lost, as in a full adapter
 
 
@@ -156,7 +156,7 @@ class RealtimeLoop:
                     self._waiting[k] += 1
                     now = time.monotonic()
                     due = max(now, self._free[k])
-                    self._free[k] = max(self._free[k], now - _EARLY_ANSWERS * self._gap) + self._gap
+                    self._free[k] = max(self._free[k], now - _MAX_EARLY_ANSWERS * self._gap) + self._gap
                     heapq.heappush(self.answers, (due, next(self._count), k, answer))
         for port in self._ports:
             port.handle(ready)

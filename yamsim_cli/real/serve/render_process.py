@@ -192,10 +192,10 @@ def _render_states(
             make_simulator(session, AttemptJob(session.config.seed, 0)) as simulator,
             contextlib.suppress(EOFError, OSError),
         ):
-            replica, size = simulator.state_replay, session.config.image.size_px
+            replica = simulator.state_replay
             # The first image uploads the scene, which takes longest.
             render_cameras(simulator, attempt, simulator.scene.model.qpos0, cameras)
-            pipe.send_bytes(_RENDERED + np.array([replica.intrinsics(name, size).K for name in cameras]).tobytes())
+            pipe.send_bytes(_RENDERED + np.array([simulator.intrinsics(name).K for name in cameras]).tobytes())
             while True:
                 data = pipe.recv_bytes()
                 images = render_cameras(simulator, attempt, np.frombuffer(data[1:]), cameras)

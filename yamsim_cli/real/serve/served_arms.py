@@ -24,7 +24,7 @@ from .policy_robot import HandKinematics, PolicyRobot
 from .render_process import RenderProcess, SceneState
 
 # Initial postures: folded, at rest without power; the model's home; the task's start.
-START_POSTURES = ("rest", "home", "task")
+VALID_START_POSTURES = ("rest", "home", "task")
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def serve_arms(
 
     Args:
         channels: as `given` in `channel_names`.
-        start: one of `START_POSTURES`.
+        start: one of `VALID_START_POSTURES`.
 
     Raises:
         ConfigError: the motors of an arm or a gripper are unknown.

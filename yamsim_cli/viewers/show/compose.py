@@ -36,7 +36,7 @@ class ComposeReport:
 
 
 @dataclass(frozen=True)
-class HomeState:
+class HomeKeyframe:
     """Initial state of a composed scene, for its MuJoCo keyframe `home`.
 
     Attributes:
@@ -50,7 +50,7 @@ class HomeState:
     parts: Mapping[str, float] = field(default_factory=dict)
 
 
-def first_attempt_start(session: Session) -> tuple[RecordConfig, HomeState]:
+def first_attempt_start(session: Session) -> tuple[RecordConfig, HomeKeyframe]:
     """Sample a session's first attempt. Return the config with its objects, and its start state."""
     job = AttemptJob(session.config.seed, 0)
     with SimulatorCache(session.without_meshes()) as simulators:
@@ -66,14 +66,14 @@ def first_attempt_start(session: Session) -> tuple[RecordConfig, HomeState]:
         config.start_joints if number in config.acting_indices else arm.robot.start
         for number, arm in enumerate(config.rig.arms)
     ]
-    return config, HomeState(attempt.layout.T_in_world, joints, opened)
+    return config, HomeKeyframe(attempt.layout.T_in_world, joints, opened)
 
 
 def compose_at_home(
-    blueprint: Blueprint, locations: Locations, home: HomeState | None = None
+    blueprint: Blueprint, locations: Locations, home: HomeKeyframe | None = None
 ) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     """Compose a scene with keyframe `home`, by default without objects. Return spec and compiled model."""
-    spec, home = compose_scene(blueprint, locations), home or HomeState()
+    spec, home = compose_scene(blueprint, locations), home or HomeKeyframe()
     return spec, add_home_key(spec, blueprint.rig, home.T_in_world, home.joints, home.parts)
 
 
@@ -100,14 +100,14 @@ def write_scene(
         if (out.exists() or out.is_symlink()) and not overwrite:
             raise UsageError(f"{out} exists; move it aside with --overwrite, or choose another --out")
         out.parent.mkdir(parents=True, exist_ok=True)
-        moved = _write_zip(files, out) if as_zip else _write_folder(files, out)
+        moved = _write_zip(files, out) if as_zip else _replace_folder(files, out)
     except OSError as error:
         raise ResourceError(f"{out} cannot be written: {describe_refusal(error, out)}; choose another --out") from error
     bodies = tuple(model.body(k).name for k in range(1, model.nbody))
     return ComposeReport(out, tuple(files), model.nq, model.nu, bodies, moved)
 
 
-def _write_folder(files: dict[str, bytes], out: Path) -> Path | None:
+def _replace_folder(files: dict[str, bytes], out: Path) -> Path | None:
     with staged_directory(out, overwrite=True) as stage:
         for name, data in files.items():
             path = stage.path / name

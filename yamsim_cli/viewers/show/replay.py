@@ -10,7 +10,7 @@ import numpy as np
 
 from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.lowdim import has_simulation
+from yamsim_cli.core.dataset.lowdim import has_simulation_keys
 from yamsim_cli.core.dataset.reader import RecordedEpisode, RecordedImages, StoredEpisode, read_side_by_side_images
 from yamsim_cli.core.dataset.records import attempt_from_record
 from yamsim_cli.core.episode.attempt_payload import render_cameras
@@ -104,7 +104,7 @@ def session_with_wrist_camera(session: Session, size: tuple[int, int] | None = N
 def episode_positions(episode: StoredEpisode, simulator: Simulator) -> Array:
     """Return `qpos` of each frame (frames, nq) of a simulated episode."""
     frames = episode.frames()
-    if not all(map(has_simulation, frames)):
+    if not all(map(has_simulation_keys, frames)):
         raise DatasetError(
             f"{episode.directory} holds no sim_qpos, so only its recorded images can be shown: --video without --render"
         )

@@ -15,15 +15,22 @@ from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.images.image import Image
 from yamsim_cli.core.images.png import encode_png
 from yamsim_cli.core.rendering.renderer import SceneRenderer
-from yamsim_cli.core.rendering.view_cameras import VIEWS, PlacedCamera, draw_labels, montage, place_camera, rig_points
+from yamsim_cli.core.rendering.view_cameras import (
+    RIG_VIEWS,
+    PlacedCamera,
+    draw_labels,
+    montage,
+    place_camera,
+    rig_points,
+)
 from yamsim_cli.core.scene.blueprint import Blueprint, PictureSettings
-from yamsim_cli.core.scene.cameras import WORLD, SceneCamera, add_camera
+from yamsim_cli.core.scene.cameras import WORLD_BODY, SceneCamera, add_camera
 from yamsim_cli.core.scene.compilation import compile_spec
 from yamsim_cli.core.scene.fiducials import BOARD_BODY, MOUNT_BODY
 
 from .compose import compose_at_home
 
-MONTAGE = "views.png"
+MONTAGE_FILE = "views.png"
 
 
 @dataclass(frozen=True)
@@ -32,7 +39,7 @@ class ViewScene:
 
     Attributes:
         size: (width, height) of a view, px.
-        fine: (width, height) of the rendered image before it is averaged to `size`, px.
+        supersampled_size: (width, height) of the rendered image before it is averaged to `size`, px.
     """
 
     rig: RigConfig
@@ -40,27 +47,27 @@ class ViewScene:
     data: mujoco.MjData
     cameras: dict[str, PlacedCamera]
     size: tuple[int, int]
-    fine: tuple[int, int]
+    supersampled_size: tuple[int, int]
 
     def open_renderer(self) -> SceneRenderer:
         """Return a renderer of the views, which the caller must close."""
-        return SceneRenderer(self.model, self.size, self.fine)
+        return SceneRenderer(self.model, self.size, self.supersampled_size)
 
 
 def set_up_views(blueprint: Blueprint, locations: Locations, quality: RenderConfig, size: tuple[int, int]) -> ViewScene:
     """Compose a rig with a camera for each view, placed by the rig's extent. `size` is (width, height), px."""
     rig = blueprint.rig
     spec, model = compose_at_home(replace(blueprint, pictures=PictureSettings(quality, size)), locations)
-    cameras = _view_cameras(rig, model, _at_home(model), size)
-    for view in VIEWS:
+    cameras = _view_cameras(rig, model, _data_at_home(model), size)
+    for view in RIG_VIEWS:
         T = cameras[view.name].T_cam_in_world
         T_mujoco = pose(T[:3, 3], opencv_from_mujoco(T[:3, :3]))
-        add_camera(spec, SceneCamera(view.name, WORLD, T_mujoco, view.fovy_deg))
+        add_camera(spec, SceneCamera(view.name, WORLD_BODY, T_mujoco, view.fovy_deg))
     model = compile_spec(spec)
-    return ViewScene(rig, model, _at_home(model), cameras, size, quality.fine_size(size))
+    return ViewScene(rig, model, _data_at_home(model), cameras, size, quality.fine_size(size))
 
 
-def _at_home(model: mujoco.MjModel) -> mujoco.MjData:
+def _data_at_home(model: mujoco.MjModel) -> mujoco.MjData:
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)
@@ -69,7 +76,7 @@ def _at_home(model: mujoco.MjModel) -> mujoco.MjData:
 
 def picture_names() -> list[str]:
     """Return the file names of the images of `render_views`."""
-    return [*(f"{view.name}.png" for view in VIEWS), MONTAGE]
+    return [*(f"{view.name}.png" for view in RIG_VIEWS), MONTAGE_FILE]
 
 
 def render_views(views: ViewScene) -> dict[str, Image]:
@@ -83,7 +90,7 @@ def render_views(views: ViewScene) -> dict[str, Image]:
             }
             title = f"{rig.name}: {name.replace('_', ' ')}"
             images[f"{name}.png"] = draw_labels(renderer.render(views.data, name), texts, title)
-    images[MONTAGE] = montage(list(images.values()))
+    images[MONTAGE_FILE] = montage(list(images.values()))
     return images
 
 
@@ -102,7 +109,8 @@ def _view_cameras(
         names = [*([BOARD_BODY] if arm.board else []), *([MOUNT_BODY] if arm.mount else []), arm.robot.base]
         near_base += [*(model.body(arm.prefix + name).id for name in names), _body_of_joint(model, arm, 0)]
     return {
-        view.name: place_camera(view, rig_points(model, data, near_base if view.low else every), size) for view in VIEWS
+        view.name: place_camera(view, rig_points(model, data, near_base if view.is_low_view else every), size)
+        for view in RIG_VIEWS
     }
 
 

@@ -31,7 +31,7 @@ def scene_files(spec: mujoco.MjSpec, model: mujoco.MjModel, reader: Reader = "3.
     """Return path -> content of a scene's files; `model` is the compiled `spec`. Equal specs give equal bytes."""
     named = {mesh.file for mesh in spec.meshes} | {texture.file for texture in spec.textures}
     files = {name: data for name, data in sorted(spec.assets.items()) if name in named}
-    text = classic_xml(spec, model) if reader == "3.3" else spec.to_xml()
+    text = mujoco_3_3_xml(spec, model) if reader == "3.3" else spec.to_xml()
     return {"scene.xml": text.encode(), **files}
 
 
@@ -47,12 +47,12 @@ def zip_bytes(files: dict[str, bytes], folder: str) -> bytes:
     return stream.getvalue()
 
 
-def classic_xml(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
+def mujoco_3_3_xml(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
     """Return the MJCF for MuJoCo 3.3 and newer, in full precision; `model` is the compiled `spec`.
 
     Raise UsageError for an element, attribute or value that 3.3 does not know.
     """
-    root = ElementTree.fromstring(_as_authored(spec))
+    root = ElementTree.fromstring(_full_precision_mjcf(spec))
     _write_defaults(root, model)
     for body, number in zip(root.iter("body"), range(1, model.nbody), strict=True):
         _write_inertia(body, model, number)
@@ -67,7 +67,7 @@ def classic_xml(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _as_authored(spec: mujoco.MjSpec) -> str:
+def _full_precision_mjcf(spec: mujoco.MjSpec) -> str:
     """Return the MJCF that MuJoCo writes for a spec, in full precision. A compiled spec would give six digits only."""
     compiler = spec.compiler
     before = compiler.savecompiled, compiler.savecanonical

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ..scene_page import ScenePage
 
 FRAME_PERIOD = 1 / 30  # s, between two images
-_PICTURE = (320, 240)  # px, (width, height) of camera images on the page
+_PAGE_IMAGE_SIZE = (320, 240)  # px, (width, height) of camera images on the page
 
 
 def make_live_rig(blueprint: Blueprint, locations: Locations, quality: RenderConfig | None = None) -> LiveRig:
@@ -42,12 +42,12 @@ def make_live_task(session: Session, *, boards: bool = True, quality: RenderConf
 
 
 def _with_cameras(blueprint: Blueprint, quality: RenderConfig | None) -> Blueprint:
-    pictures = PictureSettings(quality, _PICTURE) if quality is not None else None
+    pictures = PictureSettings(quality, _PAGE_IMAGE_SIZE) if quality is not None else None
     rig = blueprint.rig
     cameras = (
         *blueprint.cameras,
-        *(wrist_camera(arm, _PICTURE) for arm in rig.arms),
-        *(station_camera(rig, camera, _PICTURE) for camera in rig.cameras),
+        *(wrist_camera(arm, _PAGE_IMAGE_SIZE) for arm in rig.arms),
+        *(station_camera(rig, camera, _PAGE_IMAGE_SIZE) for camera in rig.cameras),
     )
     return replace(blueprint, cameras=cameras, pictures=pictures)
 
@@ -68,7 +68,7 @@ class LivePictures:
     def render(self, camera: str) -> Image:
         """Return an RGB image (240, 320, 3). Raise ResourceError without an OpenGL context."""
         if self._renderer is None:
-            self._renderer = SceneRenderer(self._live.model, _PICTURE)
+            self._renderer = SceneRenderer(self._live.model, _PAGE_IMAGE_SIZE)
         with self._live.lock:
             return self._renderer.render(self._live.data, camera)
 

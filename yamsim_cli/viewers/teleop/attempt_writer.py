@@ -18,12 +18,12 @@ from yamsim_cli.core.dataset.records import AttemptRecord, attempt_record, episo
 from yamsim_cli.core.dataset.writing.staged_writer import EpisodeWriter
 from yamsim_cli.core.episode.attempt_payload import build_payload, payload_without_files
 from yamsim_cli.core.episode.execution import SimulatedAttempt, with_distractors
-from yamsim_cli.core.episode.runner import check_meshes
+from yamsim_cli.core.episode.runner import require_stated_meshes
 from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.workers.executors import Executor
 from yamsim_cli.core.workers.process_pool import ProcessPool
 
-SOURCE = "teleop"
+TELEOP_SOURCE = "teleop"
 
 _POLL_SECONDS = 0.1  # s, between checks for a closed writer
 
@@ -38,7 +38,7 @@ class TeleopAttemptRenderer(Closable):
     def __init__(self, session: Session, *, render: bool = True) -> None:
         self._render = render
         if render:
-            check_meshes(session)
+            require_stated_meshes(session)
         self._simulators = SimulatorCache(session)
         # Compile the scene now, since its files may be gone when the first attempt arrives.
         self._simulators.get(AttemptJob(session.config.seed, 0))
@@ -154,7 +154,7 @@ class AttemptWriter(Closable):
     def _write_attempt(self, payload: AttemptPayload) -> AttemptRecord:
         number = self._sink.episodes if payload.outcome.success else None
         if number is not None:
-            record = episode_record(self._config, payload, number).model_copy(update={"source": SOURCE})
+            record = episode_record(self._config, payload, number).model_copy(update={"source": TELEOP_SOURCE})
             self._sink.publish_episode(record, dict(payload.files))
         attempt = attempt_record(payload, number)
         self._sink.log_attempt(attempt)

@@ -20,7 +20,7 @@ from .teleop_scene import TeleopScene
 ArmRow = tuple[FiniteFloat, FiniteFloat, FiniteFloat, Place]
 
 _LIMIT_TOLERANCE = math.radians(30)  # rad, by which a leader arm may exceed the follower's joint limits
-_OPENING = QuantityBounds("m", -0.02, 0.1)  # drives report values slightly outside the valid range
+_OPENING_BOUNDS = QuantityBounds("m", -0.02, 0.1)  # drives report values slightly outside the valid range
 
 
 class PoseTarget(Config):
@@ -142,7 +142,7 @@ class _CommandChecker:
                 raise ConfigError(f"{where}: joints: {fault}")
             try:
                 for opening in row[robot.dof :]:
-                    _OPENING.check(float(opening))
+                    _OPENING_BOUNDS.check(float(opening))
             except ValueError as error:
                 raise ConfigError(f"{where}: joints: {error}") from error
 

@@ -15,7 +15,7 @@ from yamsim_cli.core.attempt_data import Attempt, AttemptJob
 from yamsim_cli.core.dataset.dataset_paths import RECORDINGS_FOLDER
 from yamsim_cli.core.geometry.se3 import Array
 
-_STOP = "stop"
+_STOP_MARK = "stop"
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class RecordingJournal:
 
     def mark_stop(self) -> None:
         """Mark that the user stopped the recording. In the ticks that follow, the scene comes to rest."""
-        self._write_line({"event": _STOP})
+        self._write_line({"event": _STOP_MARK})
 
     def close_recording(self) -> None:
         """Close the file, which stays on the disk."""
@@ -137,7 +137,7 @@ def _read_recording(path: Path) -> UnfinishedRecording | None:
         ticks = tuple(_parse_tick(line) for line in lines[1:] if "ctrl" in line)
     except (IndexError, KeyError, TypeError, ValueError):
         return None
-    stops = [k for k, line in enumerate(lines[1:]) if line.get("event") == _STOP]
+    stops = [k for k, line in enumerate(lines[1:]) if line.get("event") == _STOP_MARK]
     return UnfinishedRecording(path, job, start, ticks, stops[0] if stops else None)
 
 

@@ -60,7 +60,7 @@ class TeleopArm:
 
     @property
     def is_open(self) -> bool:
-        """Whether the commanded opening exceeds that of the closed gripper."""
+        """Whether the commanded opening is larger than the closed gripper's."""
         return self.opening > self._closed
 
     @property

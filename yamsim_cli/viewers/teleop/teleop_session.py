@@ -13,7 +13,7 @@ from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.dataset_paths import episode_name
 from yamsim_cli.core.dataset.disk_errors import explain_disk_error
 from yamsim_cli.core.dataset.records import AttemptRecord
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter, config_for_new_episodes
 from yamsim_cli.core.errors import PartialJobError
 from yamsim_cli.core.scene.build import with_mesh_descriptions
@@ -31,7 +31,7 @@ _POLL_SECONDS = 0.5  # s, longest single wait at the end of a session
 
 
 @dataclass(frozen=True)
-class Jitter:
+class TickJitter:
     """Deviations of the time between control ticks from its nominal value, ms.
 
     Attributes:
@@ -72,14 +72,14 @@ class TickClock:
         self._due += self._period
 
     @property
-    def jitter(self) -> Jitter | None:
+    def jitter(self) -> TickJitter | None:
         """Jitter of the ticks so far; None before the second tick."""
         if len(self._began) < 2:
             return None
         off = 1000 * np.abs(np.diff(self._began) - self._period)
         p50, p95 = np.percentile(off, (50, 95))
         rate, ticks, most = 1 / self._period, len(self._began), float(off.max())
-        return Jitter(rate, ticks, float(p50), float(p95), most, self._late, 1000 * self._lost)
+        return TickJitter(rate, ticks, float(p50), float(p95), most, self._late, 1000 * self._lost)
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class TeleopReport:
     attempts: int
     discarded: int
     trials: tuple[AttemptRecord, ...]
-    jitter: Jitter | None
+    jitter: TickJitter | None
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class TeleopSession:
             end = f"failed: {attempt.outcome.detail}" if attempt.episode is None else episode_name(attempt.episode)
             scene.message = f"attempt {attempt.attempt}: {end}"
 
-    def finish(self, jitter: Jitter | None) -> TeleopReport:
+    def finish(self, jitter: TickJitter | None) -> TeleopReport:
         """Wait until all attempts are written, and return the report."""
         while self.attempts.waiting_count:
             self.update_scene_status(_POLL_SECONDS)
@@ -138,7 +138,7 @@ def check_page(address: PageAddress) -> None:
 def open_teleop(
     session: Session,
     out: Path,
-    mode: OpenMode,
+    mode: ExistingDatasetMode,
     warn: Callable[[str], None],
     *,
     time_limit: float = TIME_LIMIT,

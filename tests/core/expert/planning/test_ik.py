@@ -30,7 +30,7 @@ def ik(config: RecordConfig) -> IkSolver:
 
 
 def test_solution_is_where_forward_kinematics_says(ik: IkSolver) -> None:
-    ik.set_held_frame(np.eye(4))
+    ik.set_held_object_frame(np.eye(4))
     rng = np.random.default_rng(0)
     for _ in range(20):
         joints = rng.uniform([-1, 1.2, 0.8, -1.2, -0.4, -0.8], [1, 1.9, 1.6, -0.6, 0.4, 0.8])
@@ -43,9 +43,9 @@ def test_solution_is_where_forward_kinematics_says(ik: IkSolver) -> None:
 def test_a_held_frame_is_what_is_brought_to_the_target(ik: IkSolver) -> None:
     joints = np.array([0.2, 1.5, 1.2, -1.0, 0.1, 0.3])
     held = pose((0.01, -0.02, 0.03), rotation_z(0.4))
-    ik.set_held_frame(np.eye(4))
+    ik.set_held_object_frame(np.eye(4))
     T_pinch = ik.forward_kinematics(joints)
-    ik.set_held_frame(held)
+    ik.set_held_object_frame(held)
     np.testing.assert_allclose(ik.forward_kinematics(joints), T_pinch @ held, atol=1e-12)
 
 
@@ -61,7 +61,7 @@ def test_targets_are_in_world(config: RecordConfig) -> None:
 
 
 def test_out_of_reach_is_said_not_hidden(ik: IkSolver) -> None:
-    ik.set_held_frame(np.eye(4))
+    ik.set_held_object_frame(np.eye(4))
     solution = ik.solve(pose((1.2, 0, 0.1)), np.array([0, 1.5, 1.2, -1.0, 0, 0]), 100)
     assert solution.position_error > 0.3
     assert (solution.joints >= LOW - 1e-6).all()

@@ -35,9 +35,9 @@ _ALIASES = {
     "width": ("image_width", "image_Width", "imageWidth"),
     "height": ("image_height", "image_Height", "imageHeight"),
 }
-Keys = tuple[str, ...]  # key path of a camera in its file
+CameraKeyPath = tuple[str, ...]  # key path of a camera in its file
 
-_SIGMA = "focal_sigma"
+_FOCAL_SIGMA_KEY = "focal_sigma"
 
 # Names of OpenCV's lens and camera models in other programs.
 _ROS_MODELS = ("plumb_bob", "rational_polynomial")
@@ -86,7 +86,7 @@ def _open_camera_document(path: Path) -> tuple[Path, str, Document]:
     return file, name, parse(read_config_bytes(file), str(file)) if parse else load_yaml(file)
 
 
-def _camera_key_paths(document: Document) -> dict[str, Keys]:
+def _camera_key_paths(document: Document) -> dict[str, CameraKeyPath]:
     """Return the name of each camera in a file of Kalibr or raiden -> its key path; empty for other files."""
     data = document.data
     if isinstance(cameras := data.get("cameras"), dict) and cameras:
@@ -97,7 +97,7 @@ def _camera_key_paths(document: Document) -> dict[str, Keys]:
 class _CameraConverter:
     """Collects a camera's values under yamsim's keys, each with its line in the file."""
 
-    def __init__(self, document: Document, at: Keys) -> None:
+    def __init__(self, document: Document, at: CameraKeyPath) -> None:
         self._document, self._at = document, at
         self._values: Any = document.data
         for key in at:
@@ -134,8 +134,8 @@ class _CameraConverter:
 
     def document(self) -> Document:
         """Return the collected values, with the focal length's uncertainty if the file has one."""
-        if self.has(_SIGMA):
-            self.put(_SIGMA, _SIGMA, self._values[_SIGMA])
+        if self.has(_FOCAL_SIGMA_KEY):
+            self.put(_FOCAL_SIGMA_KEY, _FOCAL_SIGMA_KEY, self._values[_FOCAL_SIGMA_KEY])
         return Document(self._ours, self._document.source, self._places)
 
 
@@ -157,7 +157,7 @@ def _single_camera(document: Document) -> Document:
     return camera.document()
 
 
-def _convert_kalibr(document: Document, at: Keys) -> Document:
+def _convert_kalibr(document: Document, at: CameraKeyPath) -> Document:
     camera = _CameraConverter(document, at)
     camera.expect("camera_model", camera.get("camera_model"), _KALIBR_MODELS)
     camera.expect("distortion_model", camera.get("distortion_model"), _KALIBR_LENSES)
@@ -168,7 +168,7 @@ def _convert_kalibr(document: Document, at: Keys) -> Document:
     return camera.document()
 
 
-def _convert_raiden(document: Document, at: Keys) -> Document:
+def _convert_raiden(document: Document, at: CameraKeyPath) -> Document:
     _CameraConverter(document, at).get("intrinsics")
     camera = _CameraConverter(document, (*at, "intrinsics"))
     camera.put("K", "camera_matrix", camera.get("camera_matrix"))

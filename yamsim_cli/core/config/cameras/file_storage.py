@@ -9,14 +9,14 @@ from xml.parsers import expat
 from ...errors import ConfigError
 from ...files.documents.yaml_document import Document, KeyPath, number_or_text, parse_yaml
 
-_ROOT = "opencv_storage"
+_ROOT_ELEMENT_NAME = "opencv_storage"
 
 _MAX_DEPTH = 50  # levels of nested elements; a calibration has 3, and a deeper file is an attack
 
 # FileStorage writes comments on separate lines. Its strings have no line breaks, so only comments begin with `//`.
 _JSON_COMMENT = re.compile(rb"^[ \t]*//.*$", re.MULTILINE)
 
-_WORDS = re.compile(r'"([^"]*)"|(\S+)')
+_XML_WORD_PATTERN = re.compile(r'"([^"]*)"|(\S+)')
 
 
 def parse_json(raw: bytes, source: str) -> Document:
@@ -42,8 +42,10 @@ def parse_xml(raw: bytes, source: str) -> Document:
             deeply.
     """
     root = _parse_elements(raw, source)
-    if root.name != _ROOT:
-        raise ConfigError(f"{source}:{root.line}: <{root.name}> is not the root of OpenCV's XML files, <{_ROOT}>")
+    if root.name != _ROOT_ELEMENT_NAME:
+        raise ConfigError(
+            f"{source}:{root.line}: <{root.name}> is not the root of OpenCV's XML files, <{_ROOT_ELEMENT_NAME}>"
+        )
     document = Document({}, source)
     try:
         data = _element_value(root, (), document)
@@ -101,5 +103,5 @@ def _element_value(element: _Element, path: KeyPath, document: Document) -> Any:
                 raise ConfigError(f"{document.source}:{inner.line}: duplicate key {inner.name!r}; remove one")
             values[inner.name] = _element_value(inner, (*path, inner.name), document)
         return values
-    words = [number_or_text(plain) if plain else quoted for quoted, plain in _WORDS.findall(element.text)]
+    words = [number_or_text(plain) if plain else quoted for quoted, plain in _XML_WORD_PATTERN.findall(element.text)]
     return words[0] if len(words) == 1 else words or None

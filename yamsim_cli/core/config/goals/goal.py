@@ -16,7 +16,7 @@ from .role_assignment import RoleAssignment
 from .world import GoalWorld
 
 # Keys that join clauses: conjunction, disjunction and negation.
-_JOINS = ("all", "any", "not")
+_BOOLEAN_OPERATORS = ("all", "any", "not")
 
 
 class _Clause(Config):
@@ -24,9 +24,9 @@ class _Clause(Config):
 
     @model_validator(mode="after")
     def _has_one_key(self) -> _Clause:
-        given = [name for name in (*_JOINS, *PREDICATES) if getattr(self, name) is not None]
+        given = [name for name in (*_BOOLEAN_OPERATORS, *PREDICATES) if getattr(self, name) is not None]
         if len(given) != 1:
-            names = ", ".join((*_JOINS, *PREDICATES))
+            names = ", ".join((*_BOOLEAN_OPERATORS, *PREDICATES))
             found = f"has {' and '.join(given)}" if given else "is empty"
             raise ValueError(f"a clause of a goal must have one key, but this one {found}; give one of {names}")
         if given[0] in ("all", "any") and not getattr(self, given[0]):
@@ -35,7 +35,9 @@ class _Clause(Config):
 
     @property
     def _only_item(self) -> tuple[str, Any]:
-        return next((name, value) for name in (*_JOINS, *PREDICATES) if (value := getattr(self, name)) is not None)
+        return next(
+            (name, value) for name in (*_BOOLEAN_OPERATORS, *PREDICATES) if (value := getattr(self, name)) is not None
+        )
 
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
         """Return the measures that all have to hold: for `any`, of its best clause; for `not`, one inverted measure."""

@@ -9,13 +9,15 @@ from typing import Any
 from .goal import Clause
 from .predicates import Predicate
 
-Path = tuple[str | int, ...]
-Impossible = Callable[[Predicate], str | None]
+PredicateKeyPath = tuple[str | int, ...]
+WhyPredicateImpossible = Callable[[Predicate], str | None]
 
 _MAX_PREDICATES = 12  # predicates of a checked goal; each predicate doubles the combinations
 
 
-def find_contradiction(goal: Clause, impossible: Impossible = lambda predicate: None) -> tuple[Path, str] | None:
+def find_contradiction(
+    goal: Clause, impossible: WhyPredicateImpossible = lambda predicate: None
+) -> tuple[PredicateKeyPath, str] | None:
     """Return key path and description of a contradiction, or None; `impossible`: why a predicate can never hold."""
     # Predicates with a mapping among their arguments have no hash, so `repr` identifies each.
     found = {repr(predicate): (path, predicate) for path, predicate in goal.predicates()}

@@ -20,7 +20,7 @@ from .measure import GoalMeasure, binary_measure
 from .role_assignment import RoleAssignment
 from .world import TABLE, GoalWorld
 
-_Receiver = Literal["left", "right", "either"]
+_ReceiverSide = Literal["left", "right", "either"]
 
 
 class Predicate(Config):
@@ -30,7 +30,7 @@ class Predicate(Config):
     # Whether objects of the first role have to be in a hand (True) or in no hand (False); None if both are possible.
     IN_HAND: ClassVar[bool | None] = None
     # Whether only cloth may have the roles.
-    OF_CLOTH: ClassVar[bool] = False
+    JUDGES_CLOTH: ClassVar[bool] = False
 
     @abstractmethod
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
@@ -257,7 +257,7 @@ class Upright(_PerObjectPredicate):
 
 
 # Side -> its direction (x, y) in `world`, seen from the robot's base.
-_SIDES = {"left": (0.0, 1.0), "right": (0.0, -1.0), "front": (-1.0, 0.0), "behind": (1.0, 0.0)}
+_SIDE_DIRECTIONS = {"left": (0.0, 1.0), "right": (0.0, -1.0), "front": (-1.0, 0.0), "behind": (1.0, 0.0)}
 
 
 class Near(Predicate):
@@ -304,7 +304,7 @@ class Near(Predicate):
         margin, detail = self.radius - distance, f"{distance * 1000:.0f} mm away"
         if self.side is None:
             return GoalMeasure(f"near({thing}, {other})", margin, "m", detail)
-        axis = np.array(_SIDES[self.side])
+        axis = np.array(_SIDE_DIRECTIONS[self.side])
         along, across = float(off @ axis), abs(float(axis[0] * off[1] - axis[1] * off[0]))
         inside = (along - across) / math.sqrt(2)  # m, distance from the nearer edge of the quarter circle
         detail += f", {along * 1000:.0f} mm of it to the side {self.side!r}"
@@ -361,7 +361,7 @@ class HandedOver(_PerObjectPredicate):
     """
 
     IN_HAND: ClassVar[bool | None] = True
-    to: _Receiver = "either"
+    to: _ReceiverSide = "either"
 
     def _measure_object(self, world: GoalWorld, thing: str) -> GoalMeasure:
         hands = world.holders_since_rest(thing)
@@ -378,7 +378,7 @@ class WasHandedOver(_PerObjectPredicate):
         to: side of the hand that has to receive the object.
     """
 
-    to: _Receiver = "either"
+    to: _ReceiverSide = "either"
 
     def _measure_object(self, world: GoalWorld, thing: str) -> GoalMeasure:
         passed = world.handovers(thing)
@@ -546,7 +546,7 @@ class Folded(_PerObjectPredicate):
     """
 
     IN_HAND: ClassVar[bool | None] = False
-    OF_CLOTH: ClassVar[bool] = True
+    JUDGES_CLOTH: ClassVar[bool] = True
     how: ClothFoldKind = "half"
     error: Annotated[Distance, Field(gt=0)] = 0.02
     area: Annotated[Share, Field(gt=0)] = 0.1
@@ -584,7 +584,7 @@ class Spread(_PerObjectPredicate):
     """
 
     IN_HAND: ClassVar[bool | None] = False
-    OF_CLOTH: ClassVar[bool] = True
+    JUDGES_CLOTH: ClassVar[bool] = True
     area: Annotated[Share, Field(gt=0, lt=1)] = 0.95
     height: Annotated[Distance, Field(gt=0)] = 0.015
 

@@ -14,12 +14,12 @@ from ...geometry.se3 import Array, pose, pose_from_quat
 from .object_part import Inertia, ObjectMesh
 from .primitives import CollisionPart, Primitive
 
-_Opening = Annotated[FiniteFloat, QuantityBounds("m", 0, 1)]
-_Travel = Annotated[
+_HandleGripperOpening = Annotated[FiniteFloat, QuantityBounds("m", 0, 1)]
+_JointPosition = Annotated[
     FiniteFloat, QuantityBounds("m or degrees", -3600, 3600)
 ]  # joint position: m, or degrees of a hinge
 _Damping = Annotated[FiniteFloat, QuantityBounds("N s/m or N m s/rad", 0, 1e4)]
-_Effort = Annotated[FiniteFloat, QuantityBounds("N or N m", 0, 500)]
+_JointEffort = Annotated[FiniteFloat, QuantityBounds("N or N m", 0, 500)]
 
 
 def _require_direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -45,7 +45,7 @@ class Handle(Config):
     position: OffsetPoint
     approach: Direction
     axis: Direction
-    opening: _Opening
+    opening: _HandleGripperOpening
 
     @model_validator(mode="after")
     def _axis_is_across(self) -> Handle:
@@ -72,7 +72,7 @@ class Detent(Config):
         effort: largest force or torque against motion over the ridge: N, or N m of a hinge.
     """
 
-    at: _Travel
+    at: _JointPosition
     width: Annotated[FiniteFloat, QuantityBounds("m or degrees", 1e-5, 360)]
     effort: Annotated[FiniteFloat, QuantityBounds("N or N m", 1e-4, 500)]
 
@@ -96,10 +96,10 @@ class LinkJoint(Config):
     type: Literal["hinge", "slide", "screw"]
     axis: Direction
     position: OffsetPoint = (0.0, 0.0, 0.0)
-    range: Annotated[tuple[_Travel, _Travel], AfterValidator(require_ordered)]
-    start: _Travel = 0.0
+    range: Annotated[tuple[_JointPosition, _JointPosition], AfterValidator(require_ordered)]
+    start: _JointPosition = 0.0
     damping: _Damping = 0.0
-    friction: _Effort = 0.0
+    friction: _JointEffort = 0.0
     armature: Annotated[FiniteFloat, QuantityBounds("kg or kg m2", 0, 100)] = 0.0
     pitch: Annotated[FiniteFloat, QuantityBounds("m", -0.1, 0.1)] | None = None
     detents: tuple[Detent, ...] = ()

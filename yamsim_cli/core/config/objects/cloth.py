@@ -12,8 +12,8 @@ from ...files.documents.config_base import Config, NonNegative, Rgb
 from ...files.documents.units import QuantityBounds
 from .generated import GENERATED_SET
 
-_Side = Annotated[FiniteFloat, QuantityBounds("mm", 50, 1500)]
-_Count = Annotated[int, Field(ge=5, le=25)]
+_SideLengthMm = Annotated[FiniteFloat, QuantityBounds("mm", 50, 1500)]
+_PointsPerSide = Annotated[int, Field(ge=5, le=25)]
 
 _POISSON = 0.2  # Poisson's ratio
 
@@ -36,8 +36,8 @@ class Cloth(Config):
         colours: colours (RGB) of the fabric and of the checks.
     """
 
-    size_mm: tuple[_Side, _Side]
-    grid: tuple[_Count, _Count]
+    size_mm: tuple[_SideLengthMm, _SideLengthMm]
+    grid: tuple[_PointsPerSide, _PointsPerSide]
     mass_g: Annotated[FiniteFloat, QuantityBounds("g", 0.5, 2000)]
     thickness_mm: Annotated[FiniteFloat, QuantityBounds("mm", 2, 20)] = 5.0
     stretching_n_m: Annotated[FiniteFloat, QuantityBounds("N/m", 10, 1e4)] = 400.0

@@ -18,20 +18,24 @@ from .shapes import DENSITY, Shape
 
 GENERATED_SET = "made"  # name of the asset set for meshes that are generated when a scene is built
 
-_BODY = "body"
+_BODY_PIECE = "body"
 _SCALE_POWERS = {"_mm": 1, "_g": 3}  # suffix of a shape's key -> power of the scale factor in its value
 
-_SHAPE: TypeAdapter[Shape] = TypeAdapter(Shape)
+_SHAPE_ADAPTER: TypeAdapter[Shape] = TypeAdapter(Shape)
 
 _FRICTION = (0.8, 0.005)  # sliding and torsional (m) friction coefficients
 _FLAT_FRICTION = 0.0005  # m, rolling friction of flat objects
 _ROUND_FRICTION = 0.05  # share of the radius, rolling friction of round objects: holds on a slope of 3 degrees
-_PUSH_OUT = 0.006  # s, time constant of contacts; at MuJoCo's 0.02, thin objects sink into a table after a 10 cm fall
+_CONTACT_TIME_CONSTANT = (
+    0.006  # s, time constant of contacts; at MuJoCo's 0.02, thin objects sink into a table after a 10 cm fall
+)
 
-_G = 9.81  # m/s2
+_GRAVITY = 9.81  # m/s2
 _MIN_FORCE = 15.0  # N, least force of each pad in a grasp
 _FORCE_FACTOR = 8.0  # least force of each pad, as a multiple of half the object's weight
-_LEVEL_FACTOR = 1.2  # multiple of the least pad force that keeps an object, grasped beside its centre of mass, level
+_OFF_CENTRE_FORCE_FACTOR = (
+    1.2  # multiple of the least pad force that keeps an object, grasped beside its centre of mass, level
+)
 _MIN_FORCE_FACTOR = 3.0  # multiple of half the weight; with less force of each pad, an object slides out of the pads
 # Limits of a pad's force: stiffness of the drive for both pads, N/m; depth of the lowest command below 0 (closed), m;
 # force limit of the drive, N. Source: MuJoCo Menagerie yam_linear_4310, `kp`, `ctrlrange` and `forcerange`.
@@ -52,7 +56,7 @@ def object_keys_from_shape(data: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(data.get("shape"), dict):
         return {}
     try:
-        shape = _SHAPE.validate_python(data["shape"])
+        shape = _SHAPE_ADAPTER.validate_python(data["shape"])
     except ValidationError:
         return {}  # the validation of the whole config reports the error with its line
     return object_from_shape(str(data.get("name")), shape)
@@ -64,7 +68,7 @@ def scaled_shape(shape: Shape, factor: float) -> Shape:
     Raises ValidationError if the scaled sizes are not valid.
     """
     data = shape.model_dump(mode="json", exclude_none=True)
-    return _SHAPE.validate_python({key: _scaled_value(key, value, factor) for key, value in data.items()})
+    return _SHAPE_ADAPTER.validate_python({key: _scaled_value(key, value, factor) for key, value in data.items()})
 
 
 def _scaled_value(key: str, value: Any, factor: float) -> Any:
@@ -102,7 +106,7 @@ def object_from_shape(name: str, shape: Shape) -> dict[str, Any]:
 
 
 def _surfaces_by_role(form: GeneratedShape) -> dict[str, Any]:
-    roles = sorted({piece.role for piece in form.pieces}, key=lambda role: (role != _BODY, role))
+    roles = sorted({piece.role for piece in form.pieces}, key=lambda role: (role != _BODY_PIECE, role))
     return {role: concatenate_surfaces(piece.surface for piece in form.pieces if piece.role == role) for role in roles}
 
 
@@ -142,23 +146,25 @@ def _contact_data(form: GeneratedShape) -> dict[str, Any]:
         return {
             "friction": [*_FRICTION, round(_ROUND_FRICTION * form.rolling_radius, 5)],
             "condim": 6,
-            "push_out_s": _PUSH_OUT,
+            "push_out_s": _CONTACT_TIME_CONSTANT,
         }
-    return {"friction": [*_FRICTION, _FLAT_FRICTION], "condim": 4, "push_out_s": _PUSH_OUT}
+    return {"friction": [*_FRICTION, _FLAT_FRICTION], "condim": 4, "push_out_s": _CONTACT_TIME_CONSTANT}
 
 
 def _grasp_data(form: GeneratedShape, mass: float, centre: Array) -> Mapping[str, Any]:
     """Return the data of a grasp by a weld constraint, and of grasps by friction if pads can press hard enough."""
     # In a grasp near the centre of mass, the object rotates less in the pads.
     holds = tuple(sorted(form.grasps, key=lambda hold: round(_lever_arm(hold, centre), 3)))
-    held = [hold for hold in holds if hold.has_flat_contact and _needed_force(hold, mass, centre) <= _max_force(hold)]
+    held = [hold for hold in holds if hold.has_flat_contact and _min_pad_force(hold, mass, centre) <= _max_force(hold)]
     if form.is_axisymmetric:
         held = [hold for hold in held if hold.grasped_part == held[0].grasped_part]
     best = (held or holds)[0]
     welded = _grasp_point_data(replace(best, tilt_deg=None))
     if not held:
         return welded
-    needed = max(_MIN_FORCE, _FORCE_FACTOR * mass * _G / 2, *(_needed_force(hold, mass, centre) for hold in held))
+    needed = max(
+        _MIN_FORCE, _FORCE_FACTOR * mass * _GRAVITY / 2, *(_min_pad_force(hold, mass, centre) for hold in held)
+    )
     around = {"around": True} if form.is_axisymmetric and len(held) > 1 else {}
     beside = {"clearance": _WALL_CLEARANCE} if held[0].tilt_deg is not None else {}
     return {
@@ -177,8 +183,10 @@ def _grasp_point_data(hold: ShapeGrasp) -> dict[str, Any]:
     return {"position": list(hold.position), "axis_deg": hold.axis_deg, "opening": round(hold.width / 2, 4), **tilt}
 
 
-def _needed_force(hold: ShapeGrasp, mass: float, centre: Array) -> float:
-    return mass * _G * max(_MIN_FORCE_FACTOR / 2, _LEVEL_FACTOR * _lever_arm(hold, centre) / hold.depth)
+def _min_pad_force(hold: ShapeGrasp, mass: float, centre: Array) -> float:
+    return (
+        mass * _GRAVITY * max(_MIN_FORCE_FACTOR / 2, _OFF_CENTRE_FORCE_FACTOR * _lever_arm(hold, centre) / hold.depth)
+    )
 
 
 def _lever_arm(hold: ShapeGrasp, centre: Array) -> float:

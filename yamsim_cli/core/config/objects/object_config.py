@@ -22,7 +22,7 @@ from .object_part import ObjectMesh as ObjectMesh
 from .primitives import Box, Capsule, CollisionPart, Cylinder, HullPart, Primitive, Ring, SdfPart, Sphere
 from .shapes import Shape
 
-_PART = QuantityBounds("m", -1, 1)  # m, bounds of lengths and coordinates of primitives
+_PRIMITIVE_BOUNDS = QuantityBounds("m", -1, 1)  # m, bounds of lengths and coordinates of primitives
 
 
 class GraspPoint(Config):
@@ -82,7 +82,7 @@ class Grasp(GraspPoint):
 
 
 # Families of shapes that may lie on any side.
-_SOLID = ("block", "fruit", "cutlery", "pasta")
+_SHAPES_STABLE_ON_ANY_SIDE = ("block", "fruit", "cutlery", "pasta")
 
 
 class ObjectConfig(Config):
@@ -155,7 +155,7 @@ class ObjectConfig(Config):
                     continue
                 for number in value if isinstance(value, tuple) else (value,):
                     try:
-                        _PART.check(number, info)
+                        _PRIMITIVE_BOUNDS.check(number, info)
                     except ValueError as error:
                         raise ConflictError(f"{number:g} is not valid: {error}", (*path, name)) from None
         return self
@@ -237,7 +237,7 @@ class ObjectConfig(Config):
         if self.rests is not None:
             return self.rests == "any"
         if self.shape is not None:
-            return self.shape.family in _SOLID
+            return self.shape.family in _SHAPES_STABLE_ON_ANY_SIDE
         rings = any(isinstance(part, Ring) for part in self.collision)
         hollow = rings or self.preposition == "in" or self.support is not None
         return not hollow and self.cloth is None and not self.links and not self.handles

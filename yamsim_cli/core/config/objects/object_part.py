@@ -9,10 +9,10 @@ from pydantic import Field, FiniteFloat
 from ...files.documents.config_base import Config, NonNegative, Quaternion, Rgba
 from ...files.documents.units import OffsetPoint, PlacePoint, QuantityBounds
 
-_Lever = Annotated[FiniteFloat, QuantityBounds("m", 0, 1)]
-_Moment = Annotated[FiniteFloat, QuantityBounds("kg m2", 1e-12, 100)]
+_FrictionLength = Annotated[FiniteFloat, QuantityBounds("m", 0, 1)]
+_MomentOfInertia = Annotated[FiniteFloat, QuantityBounds("kg m2", 1e-12, 100)]
 
-_PUSH_OUT = 0.02  # s, MuJoCo's default
+_CONTACT_TIME_CONSTANT = 0.02  # s, MuJoCo's default
 
 
 class Contact(Config):
@@ -23,9 +23,9 @@ class Contact(Config):
             mm for each 0.01 s, and a table's top is thin.
     """
 
-    friction: tuple[NonNegative, _Lever, _Lever] = (1.0, 0.005, 0.0001)
+    friction: tuple[NonNegative, _FrictionLength, _FrictionLength] = (1.0, 0.005, 0.0001)
     condim: Literal[1, 3, 4, 6] = 3
-    push_out_s: Annotated[FiniteFloat, QuantityBounds("s", 0.004, 0.5)] = _PUSH_OUT
+    push_out_s: Annotated[FiniteFloat, QuantityBounds("s", 0.004, 0.5)] = _CONTACT_TIME_CONSTANT
 
 
 class ObjectMesh(Config):
@@ -56,7 +56,7 @@ class Inertia(Config):
 
     mass_g: Annotated[FiniteFloat, QuantityBounds("g", 0.5, 50_000)]
     centre: OffsetPoint = (0.0, 0.0, 0.0)
-    diagonal: tuple[_Moment, _Moment, _Moment]
+    diagonal: tuple[_MomentOfInertia, _MomentOfInertia, _MomentOfInertia]
     quat: Quaternion
 
     @property

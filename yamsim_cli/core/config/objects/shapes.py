@@ -15,12 +15,12 @@ from ...geometry.shape_generators import boxes, cutlery, pasta, vessels
 from ...geometry.shape_generators.generated_shape import GeneratedShape
 
 _Size = Annotated[FiniteFloat, QuantityBounds("mm", 1, 1000)]
-_Tine = Annotated[FiniteFloat, QuantityBounds("mm", 25, 1000)]  # height of tines, which end above floor and rail
-_Thin = Annotated[FiniteFloat, QuantityBounds("mm", 0.3, 50)]
+_TineHeight = Annotated[FiniteFloat, QuantityBounds("mm", 25, 1000)]  # height of tines, which end above floor and rail
+_WallThickness = Annotated[FiniteFloat, QuantityBounds("mm", 0.3, 50)]
 _Length = Annotated[FiniteFloat, QuantityBounds("mm", 0, 500)]
 _Share = Annotated[FiniteFloat, QuantityBounds("of 1", 0, 1)]
 _Grams = Annotated[FiniteFloat, QuantityBounds("g", 0.5, 50_000)]
-_Box = tuple[_Size, _Size, _Size]
+_BoxSize = tuple[_Size, _Size, _Size]
 
 T = TypeVar("T")
 
@@ -97,7 +97,7 @@ class VesselShape(_Shape):
     diameter_mm: _Size
     height_mm: _Size
     foot_mm: _Size
-    wall_mm: _Thin
+    wall_mm: _WallThickness
     flare: Annotated[FiniteFloat, QuantityBounds("a power", 0.1, 4)] = 1.0
     fillet_mm: _Length = 0.0
     neck_mm: _Size | None = None
@@ -124,7 +124,7 @@ class CapShape(_Shape):
     family: Literal["cap"]
     diameter_mm: _Size
     height_mm: _Size
-    wall_mm: _Thin
+    wall_mm: _WallThickness
     grips: int = Field(default=0, ge=0, le=96)
 
     def _generate_shape(self) -> GeneratedShape:
@@ -151,8 +151,8 @@ class ContainerShape(_Shape):
     """An open box, or a tray of `cells` compartments in a row; `shape_generators.boxes.Container` has its sizes."""
 
     family: Literal["container"]
-    size_mm: _Box
-    wall_mm: _Thin
+    size_mm: _BoxSize
+    wall_mm: _WallThickness
     corner_mm: _Length
     taper_mm: _Length = 0.0
     lip_mm: _Length = 0.0
@@ -166,10 +166,10 @@ class LidShape(_Shape):
     """A container's lid with an inner rim, `inset_mm` inside its edge, and a bar as a handle."""
 
     family: Literal["lid"]
-    size_mm: _Box
+    size_mm: _BoxSize
     corner_mm: _Length
-    plate_mm: _Thin
-    inset_mm: _Thin
+    plate_mm: _WallThickness
+    inset_mm: _WallThickness
     bar_mm: tuple[_Size, _Size]
 
     def _generate_shape(self) -> GeneratedShape:
@@ -183,7 +183,7 @@ class BlockShape(_Shape):
     """A closed box with round edges, and a printed `band` from a lower to an upper fraction of its height."""
 
     family: Literal["block"]
-    size_mm: _Box
+    size_mm: _BoxSize
     corner_mm: _Length
     edge_mm: _Length
     band: tuple[_Share, _Share] | None = None
@@ -198,7 +198,7 @@ class TextileShape(_Shape):
     """Folded cloth as a rigid body with `folds` visible layers."""
 
     family: Literal["textile"]
-    size_mm: _Box
+    size_mm: _BoxSize
     folds: int = Field(default=1, ge=1, le=16)
 
     def _generate_shape(self) -> GeneratedShape:
@@ -213,11 +213,11 @@ class RackShape(_Shape):
     """
 
     family: Literal["rack"]
-    size_mm: _Box
-    wire_mm: _Thin
+    size_mm: _BoxSize
+    wire_mm: _WallThickness
     slots: int = Field(ge=1, le=40)
     slot_mm: _Size
-    tine_mm: _Tine | None = None
+    tine_mm: _TineHeight | None = None
 
     @model_validator(mode="after")
     def _slots_fit(self) -> RackShape:
@@ -243,10 +243,10 @@ class CutleryShape(_Shape):
 
     family: Literal["cutlery"]
     kind: Literal["spoon", "fork", "knife", "turner"]
-    size_mm: _Box
+    size_mm: _BoxSize
     grip_mm: _Size
-    thickness_mm: _Thin
-    handle_mm: _Thin
+    thickness_mm: _WallThickness
+    handle_mm: _WallThickness
 
     def _generate_shape(self) -> GeneratedShape:
         return cutlery.make_cutlery(_in_metres(cutlery.CutlerySizes, self))

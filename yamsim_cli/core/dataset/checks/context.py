@@ -20,11 +20,13 @@ from ..imported_records import is_imported_dataset, read_dataset_config, read_im
 from .motion import ArmLimits
 from .problem import ProblemCollector
 
-_PLAIN_CONFIG = "default"  # `record` config with the assumed arm of plain recordings, which have only rgb/ and lowdim/
+_ASSUMED_RECORD_CONFIG = (
+    "default"  # `record` config with the assumed arm of plain recordings, which have only rgb/ and lowdim/
+)
 # Objects and success limits (m) for judging a plain recording. Source: the lab's pick-and-place.
 _OBJECT, _TARGET = "banana", "plate"
-_THRESHOLD = 0.05
-_MAX_HEIGHT = 0.10
+_DEFAULT_SUCCESS_RADIUS = 0.05
+_DEFAULT_MAX_HEIGHT = 0.10
 
 
 @dataclass(frozen=True)
@@ -65,8 +67,8 @@ class CheckContext:
     object: str = _OBJECT
     target: str = _TARGET
     sampling: StartRegion | None = None
-    threshold: float = _THRESHOLD
-    max_height: float = _MAX_HEIGHT
+    threshold: float = _DEFAULT_SUCCESS_RADIUS
+    max_height: float = _DEFAULT_MAX_HEIGHT
     wrist_cameras: Mapping[str, int] = field(default_factory=dict)
     judged_by_goal: bool = False
     real: bool = False
@@ -139,7 +141,7 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
             real=True,
         )
     if parsed is None:
-        arm = load_config(RecordConfig, "record", _PLAIN_CONFIG, locations).rig.arms[0]
+        arm = load_config(RecordConfig, "record", _ASSUMED_RECORD_CONFIG, locations).rig.arms[0]
         return CheckContext(
             recorded, (ArmLimits(widest_joint_limits(arm.model), len(arm.robot.drive_names), None),), pose()
         )
@@ -157,7 +159,7 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
         cast.object_of(target.surface),
         _bounding_start_region(parsed, (target.thing, target.surface)),
         target.radius,
-        _MAX_HEIGHT,
+        _DEFAULT_MAX_HEIGHT,
         wrists,
     )
 

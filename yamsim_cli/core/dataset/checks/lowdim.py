@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from ...errors import DatasetError
-from ..lowdim import GRASP, SIMULATION, flatten_frame, frame_array_shapes, load_frame, simulation_faults
+from ..lowdim import GRASP, SIMULATION_KEYS, flatten_frame, frame_array_shapes, load_frame, simulation_faults
 from ..records import EpisodeRecord
 from ..safe_unpickle import ForbiddenPickleError
 from .problem import ProblemCollector
 
 # Optional frame key -> example value with the required dtype and shape.
-_OPTIONAL = {"K_wrist": np.zeros((3, 3), np.float32)}
+_OPTIONAL_FRAME_KEYS = {"K_wrist": np.zeros((3, 3), np.float32)}
 
 
 @dataclass(frozen=True)
@@ -121,10 +121,10 @@ class LowdimChecks:
 
     def check_frame_values(self, number: int, name: str, frame: Mapping[str, Any]) -> None:
         """Check a decoded frame, and store its valid values in `values`."""
-        # `SIMULATION` keys are checked separately: their shapes differ in the last frame, and a frame may lack them.
+        # `SIMULATION_KEYS` are checked separately: their shapes differ in the last frame, and a frame may lack them.
         for fault in simulation_faults(frame):
             self._problems.add("lowdim.simulation", name, fault, about=fault.split()[0])
-        entries = {key: value for key, value in flatten_frame(frame).items() if key not in SIMULATION}
+        entries = {key: value for key, value in flatten_frame(frame).items() if key not in SIMULATION_KEYS}
         forms = self._forms
         if forms is None:
             forms = self._forms = {key: ValueSpec.from_value(value) for key, value in entries.items()}
@@ -142,10 +142,10 @@ class LowdimChecks:
 
         form = ValueSpec.from_value(value)
         if wanted is None:
-            if key not in _OPTIONAL:
+            if key not in _OPTIONAL_FRAME_KEYS:
                 self._problems.add("lowdim.unexpected", name, key, about=key)
                 return False
-            wanted = ValueSpec.from_value(_OPTIONAL[key])
+            wanted = ValueSpec.from_value(_OPTIONAL_FRAME_KEYS[key])
         if form.kind != wanted.kind:
             return add("lowdim.type", form, wanted)
         if form.shape != wanted.shape:

@@ -14,7 +14,7 @@ from ...geometry.se3 import Array, invert_pose
 from ...robots.models import JointLimits
 from .problem import ProblemCollector
 
-TIMESTAMPS = "timestamps.npy"  # file of capture times in `rgb/<camera>/` of converted real recordings
+TIMESTAMPS_FILE = "timestamps.npy"  # file of capture times in `rgb/<camera>/` of converted real recordings
 # Start of an `.npy` file, version 1.0, with a one-dimensional array of 64-bit integers. Source: numpy.lib.format.
 _NPY_MAGIC = b"\x93NUMPY\x01\x00"
 _NPY_HEADER = re.compile(rb"\{'descr': '([<>])i8', 'fortran_order': (?:True|False), 'shape': \((\d{1,9}),\), \} *\n")
@@ -33,13 +33,13 @@ _MAX_COORDINATE = 20.0  # m, largest position of a pose: larger than any room; m
 # Largest distance of a principal point from the image centre, as a share of width or height. Lenses are off by a few
 # per cent, and a matrix for another image size by more than this limit.
 _MAX_OFF_CENTRE = 0.1
-_FOCAL_LENGTHS = (0.13, 10.0)  # valid range, as a share of the image width: fields of view of 150 to 6 deg
+_VALID_FOCAL_LENGTHS = (0.13, 10.0)  # valid range, as a share of the image width: fields of view of 150 to 6 deg
 
-Named = Callable[[int], str]  # frame number -> path of the frame's file
+FramePathFunction = Callable[[int], str]  # frame number -> path of the frame's file
 
 
 def check_times(
-    times: Mapping[int, float], period: float | None, name: Named, problems: ProblemCollector
+    times: Mapping[int, float], period: float | None, name: FramePathFunction, problems: ProblemCollector
 ) -> float | None:
     """Report times (frame number -> s) that do not increase or are uneven.
 
@@ -130,7 +130,7 @@ def angles_by_camera(camera: str, arms: Sequence[ArmData], wrists: Mapping[str, 
 
 
 def check_limits(
-    joints: Mapping[int, Array], limits: Sequence[JointLimits], name: Named, problems: ProblemCollector
+    joints: Mapping[int, Array], limits: Sequence[JointLimits], name: FramePathFunction, problems: ProblemCollector
 ) -> None:
     """Report joints beyond their limits. `joints` is frame number -> angles (n,), rad."""
     for k, values in sorted(joints.items()):
@@ -142,7 +142,7 @@ def check_limits(
 
 
 def check_fingers(
-    openings: Mapping[int, float], stops: tuple[float, float], name: Named, problems: ProblemCollector
+    openings: Mapping[int, float], stops: tuple[float, float], name: FramePathFunction, problems: ProblemCollector
 ) -> None:
     """Report finger openings (m), by frame number, beyond their lower and upper limit `stops` (m)."""
     low, high = stops
@@ -156,7 +156,7 @@ def check_speeds(
     joints: Mapping[int, Array],
     period: float | None,
     limits: Sequence[JointLimits],
-    name: Named,
+    name: FramePathFunction,
     problems: ProblemCollector,
 ) -> None:
     """Report joints that move faster than the drive can report, or than the motor can turn.
@@ -197,7 +197,7 @@ def read_timestamps(data: bytes) -> list[float] | None:
     return [(int(time) - int(times[0])) * 1e-9 for time in times]
 
 
-def check_pose(key: str, poses: Mapping[int, Array], name: Named, problems: ProblemCollector) -> None:
+def check_pose(key: str, poses: Mapping[int, Array], name: FramePathFunction, problems: ProblemCollector) -> None:
     """Report poses (4, 4) of `key`, by frame number, that are not rigid transforms in metres."""
     numbers = sorted(poses)
     T = np.array([poses[k] for k in numbers], dtype=np.float64)
@@ -219,7 +219,11 @@ def check_pose(key: str, poses: Mapping[int, Array], name: Named, problems: Prob
 
 
 def check_intrinsics(
-    key: str, matrices: Mapping[int, Array], size: tuple[int, int] | None, name: Named, problems: ProblemCollector
+    key: str,
+    matrices: Mapping[int, Array],
+    size: tuple[int, int] | None,
+    name: FramePathFunction,
+    problems: ProblemCollector,
 ) -> None:
     """Report matrices (3, 3) of `key`, by frame number, that are not camera matrices or do not fit the image size."""
     for k, K in sorted(matrices.items()):
@@ -235,9 +239,9 @@ def check_intrinsics(
         if max(off_x, off_y) > _MAX_OFF_CENTRE:
             value = f"{key}: principal point {cx:.1f}, {cy:.1f} in {width}x{height}"
             problems.add("camera.fit", name(k), value, f"near {(width - 1) / 2:g}, {(height - 1) / 2:g}", about=key)
-        elif not _FOCAL_LENGTHS[0] * width <= fx <= _FOCAL_LENGTHS[1] * width or not 0.8 <= fx / fy <= 1.25:
+        elif not _VALID_FOCAL_LENGTHS[0] * width <= fx <= _VALID_FOCAL_LENGTHS[1] * width or not 0.8 <= fx / fy <= 1.25:
             value = f"{key}: focal length {fx:.4g}, {fy:.4g} px in {width}x{height}"
-            valid = f"{_FOCAL_LENGTHS[0] * width:.0f} to {_FOCAL_LENGTHS[1] * width:.0f}, alike"
+            valid = f"{_VALID_FOCAL_LENGTHS[0] * width:.0f} to {_VALID_FOCAL_LENGTHS[1] * width:.0f}, alike"
             problems.add("camera.fit", name(k), value, valid, about=key)
 
 

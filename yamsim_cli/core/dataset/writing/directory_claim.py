@@ -23,16 +23,18 @@ from typing import Any
 from ...config.mesh_provenance import ShownMeshes, describe_mesh_content, describe_remedy, mesh_differences
 from ...errors import ConfigError, ResourceError, UsageError
 from ...files.documents.yaml_document import load_yaml
-from ...files.writing import move_to_backup, why_not_directory
+from ...files.writing import directory_obstacle, move_to_backup
 from ..dataset_paths import CONFIG_FILE, LOCK_FILE_NAME, STAGING_FOLDER, is_leftover
 
 # Errors that flock raises on filesystems without locks.
 _NO_FLOCK_ERRORS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)
-MESHES = "meshes"  # config key with the rendered meshes; set by `core.scene.build.with_mesh_descriptions`, not by users
+MESHES_KEY = (
+    "meshes"  # config key with the rendered meshes; set by `core.scene.build.with_mesh_descriptions`, not by users
+)
 _MAX_SHOWN_CHANGES = 5  # changes that a message lists, so that its line stays readable
 
 
-class OpenMode(Enum):
+class ExistingDatasetMode(Enum):
     """What to do if the dataset directory is not empty."""
 
     NEW = "new"
@@ -55,7 +57,7 @@ class ClaimedDirectory:
     moved_aside: Path | None
 
 
-def claim_directory(path: Path, mode: OpenMode, *, locks_reach_others: bool) -> ClaimedDirectory:
+def claim_directory(path: Path, mode: ExistingDatasetMode, *, locks_reach_others: bool) -> ClaimedDirectory:
     """Lock a directory, and create it if missing. `locks_reach_others`: whether locks work between machines.
 
     Raises:
@@ -64,21 +66,21 @@ def claim_directory(path: Path, mode: OpenMode, *, locks_reach_others: bool) -> 
         OSError: the directory cannot be created or written.
     """
     moved = None
-    if mode is OpenMode.OVERWRITE and _is_occupied(path):
+    if mode is ExistingDatasetMode.OVERWRITE and _is_occupied(path):
         moved = _move_to_backup(path, locks_reach_others)
-    if mode is OpenMode.NEW and _is_occupied(path):
+    if mode is ExistingDatasetMode.NEW and _is_occupied(path):
         # An error that names the other recorder is more useful than "is not empty".
         if (path / LOCK_FILE_NAME).exists():
             DirectoryLock.acquire(path, reaches_others=locks_reach_others).release()
         raise _occupied_error(path)
     if not path.is_dir() and _is_occupied(path):
-        raise UsageError(f"{path} is not a dataset to resume: {why_not_directory(path)}; choose another --out")
+        raise UsageError(f"{path} is not a dataset to resume: {directory_obstacle(path)}; choose another --out")
     path.mkdir(parents=True, exist_ok=True)
     lock = DirectoryLock.acquire(path, reaches_others=locks_reach_others)
     try:
         # Check again, now that no other recorder can write.
         occupied = _is_occupied(path)
-        if occupied and mode is not OpenMode.RESUME:
+        if occupied and mode is not ExistingDatasetMode.RESUME:
             raise _occupied_error(path)
         _remove_leftovers(path)
         return ClaimedDirectory(lock, occupied, moved)
@@ -100,7 +102,8 @@ def _occupied_error(path: Path) -> UsageError:
             f"{path} is not empty; continue it with --resume, move it aside with --overwrite, or choose another --out"
         )
     return UsageError(
-        f"{path} is not a directory: {why_not_directory(path)}; move it aside with --overwrite, or choose another --out"
+        f"{path} is not a directory: {directory_obstacle(path)}; move it aside with --overwrite, or "
+        "choose another --out"
     )
 
 
@@ -234,10 +237,10 @@ def _is_same_file(descriptor: int, path: Path) -> bool:
 def require_same_config(dataset: Path, recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
     """Raise ConfigError if the recorded configuration or meshes differ from those of the resumed recording."""
     changed = _config_differences(recorded, wanted)
-    there, now = _stated_meshes(recorded), _stated_meshes(wanted)
+    there, now = _meshes_in_config(recorded), _meshes_in_config(wanted)
     meshes = mesh_differences(there, now)
     if changed:
-        changed += [f"{MESHES}.{text}" for text in meshes]
+        changed += [f"{MESHES_KEY}.{text}" for text in meshes]
         more = f"; and {len(changed) - _MAX_SHOWN_CHANGES} more" if len(changed) > _MAX_SHOWN_CHANGES else ""
         raise ConfigError(
             f"{dataset} was recorded with another configuration: {'; '.join(changed[:_MAX_SHOWN_CHANGES])}{more}; "
@@ -252,7 +255,7 @@ def require_same_config(dataset: Path, recorded: Mapping[str, Any], wanted: Mapp
 
 def describe_unstated_meshes(dataset: Path, wanted: Mapping[str, Any]) -> str:
     """Return a message: the dataset does not state which meshes its images show, and how to find out."""
-    texts = ", ".join(f"{name}: {describe_mesh_content(text)}" for name, text in _stated_meshes(wanted).items())
+    texts = ", ".join(f"{name}: {describe_mesh_content(text)}" for name, text in _meshes_in_config(wanted).items())
     return (
         f"{dataset / CONFIG_FILE} does not name the meshes of the episodes, because an earlier yamsim recorded them. "
         "New "
@@ -263,19 +266,19 @@ def describe_unstated_meshes(dataset: Path, wanted: Mapping[str, Any]) -> str:
 def recorded_meshes(dataset: Path) -> ShownMeshes:
     """Return asset set -> description of the meshes in a dataset's images, from its config; empty if unreadable."""
     try:
-        return _stated_meshes(load_yaml(dataset / CONFIG_FILE).data)
+        return _meshes_in_config(load_yaml(dataset / CONFIG_FILE).data)
     except ConfigError:
         return {}
 
 
-def _stated_meshes(config: Mapping[str, Any]) -> ShownMeshes:
-    stated = config.get(MESHES)
+def _meshes_in_config(config: Mapping[str, Any]) -> ShownMeshes:
+    stated = config.get(MESHES_KEY)
     return {str(name): str(text) for name, text in stated.items()} if isinstance(stated, Mapping) else {}
 
 
 def _config_differences(recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
     old, new = (
-        _flatten_keys({key: value for key, value in data.items() if key != MESHES}) for data in (recorded, wanted)
+        _flatten_keys({key: value for key, value in data.items() if key != MESHES_KEY}) for data in (recorded, wanted)
     )
     return [
         f"{key}: {old.get(key)!r} there, {new.get(key)!r} now"

@@ -57,28 +57,30 @@ def quarantine_path(path: Path) -> Path:
 def inspect_episode(number: int, directory: Path) -> InspectedEpisode:
     """Read and hash all files of one episode. Raise OSError if the disk failed, or NewerFormatError."""
 
-    def found(record: EpisodeRecord | None, text: bytes, size: int, fault: str | None) -> InspectedEpisode:
+    def inspection_result(record: EpisodeRecord | None, text: bytes, size: int, fault: str | None) -> InspectedEpisode:
         return InspectedEpisode(number, directory, record, text, size, fault)
 
     try:
         text = (directory / EPISODE_FILE).read_bytes()
     except FileNotFoundError:
-        return found(None, b"", 0, f"{EPISODE_FILE} is missing")
+        return inspection_result(None, b"", 0, f"{EPISODE_FILE} is missing")
     try:
         record = from_json(EpisodeRecord, text, EPISODE_FILE)
     except NewerFormatError:
         raise  # the episode is not damaged, and must not be quarantined
     except DatasetError as error:
-        return found(None, text, 0, str(error))
+        return inspection_result(None, text, 0, str(error))
     if record.episode != number:
-        return found(record, text, 0, f"{EPISODE_FILE} is that of episode {record.episode}")
+        return inspection_result(record, text, 0, f"{EPISODE_FILE} is that of episode {record.episode}")
     size = 0
     for name, sha256 in record.files.items():
         try:
             data = (directory / name).read_bytes()
         except FileNotFoundError:
-            return found(record, text, size, f"{name} is missing")
+            return inspection_result(record, text, size, f"{name} is missing")
         size += len(data)
         if sha256_bytes(data) != sha256:
-            return found(record, text, size, f"{name} is not what was recorded ({len(data)} bytes, another hash)")
-    return found(record, text, size, None)
+            return inspection_result(
+                record, text, size, f"{name} is not what was recorded ({len(data)} bytes, another hash)"
+            )
+    return inspection_result(record, text, size, None)

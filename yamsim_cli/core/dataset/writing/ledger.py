@@ -132,7 +132,7 @@ class Ledger:
         Returns:
             Path of a copy of the damaged file; None if the file was not damaged.
         """
-        if self._read == self._joined_lines():
+        if self._read == self._ledger_bytes():
             return None
         kept = None
         if self.fault is not None:
@@ -142,11 +142,11 @@ class Ledger:
         self._write_lines()
         return kept
 
-    def _joined_lines(self) -> bytes:
+    def _ledger_bytes(self) -> bytes:
         return b"".join(self._lines[number] for number in sorted(self._lines))
 
     def _write_lines(self) -> None:
-        write_file(self._file, self._joined_lines())
+        write_file(self._file, self._ledger_bytes())
 
 
 def missing_episode(attempts: Sequence[AttemptRecord], attempt: int) -> int | None:

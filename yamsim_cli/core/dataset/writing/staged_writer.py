@@ -76,7 +76,7 @@ class StagedWriter(AttemptLog):
             self.folder.mkdir(parents=True, exist_ok=True)
             self._lock = DirectoryLock.acquire(self.folder)
             try:
-                waiting = self._recover_waiting(config)
+                waiting = self._recover_unmoved_attempts(config)
             except BaseException:
                 self._lock.release()
                 raise
@@ -88,7 +88,7 @@ class StagedWriter(AttemptLog):
         self._queue: queue.Queue[_StagedItem] = queue.Queue(max(MAX_WAITING, len(waiting)))
         for attempt in waiting:
             self._queue.put(_StagedItem(attempt.episode, attempt))
-        self._move_thread = threading.Thread(target=self._move_all, name="yamsim-mover", daemon=True)
+        self._move_thread = threading.Thread(target=self._move_queued_items, name="yamsim-mover", daemon=True)
         self._move_thread.start()
 
     @property
@@ -166,7 +166,7 @@ class StagedWriter(AttemptLog):
         if self._error is not None:
             raise self._error
 
-    def _move_all(self) -> None:
+    def _move_queued_items(self) -> None:
         while True:
             item = self._queue.get()
             if self._halt.is_set():
@@ -195,13 +195,13 @@ class StagedWriter(AttemptLog):
         if item.episode is not None:
             shutil.rmtree(directory)
 
-    def _recover_waiting(self, config: Mapping[str, Any]) -> list[AttemptRecord]:
+    def _recover_unmoved_attempts(self, config: Mapping[str, Any]) -> list[AttemptRecord]:
         """Return the attempts that an earlier recording left. Remove or back up all other content of the stage."""
         try:
             require_same_config(self.folder, upgrade_config(load_yaml(self.folder / CONFIG_FILE).data), config)
         except ConfigError:
             # The content belongs to another dataset or config and must not be deleted.
-            self._start_empty(config)
+            self._start_empty_stage(config)
         waiting = []
         for attempt in self._read_log():
             if attempt.attempt == len(self.attempts) and self._is_staged(attempt):
@@ -216,7 +216,7 @@ class StagedWriter(AttemptLog):
         shutil.rmtree(self.folder / STAGING_FOLDER, ignore_errors=True)
         return waiting
 
-    def _start_empty(self, config: Mapping[str, Any]) -> None:
+    def _start_empty_stage(self, config: Mapping[str, Any]) -> None:
         if episode_directories(self.folder):
             moved = move_to_backup(self.folder)
             self._lock.note_rename(moved)

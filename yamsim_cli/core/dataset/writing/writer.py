@@ -12,11 +12,25 @@ from ...config.recording import RecordConfig
 from ...errors import DatasetError, ResourceError, join_ranges
 from ...files.documents.yaml_document import dump_yaml, parse_yaml
 from ...files.writing import append_line, publish_directory, sha256_bytes, write_file
-from ..dataset_paths import CONFIG_FILE, EPISODE_FILE, LEDGER_FILE, MANIFEST_FILE, STAGING_FOLDER, episode_name
+from ..dataset_paths import (
+    CONFIG_FILE,
+    EPISODE_FILE,
+    LEDGER_FILE,
+    MANIFEST_FILE,
+    PROVENANCE_FILE,
+    STAGING_FOLDER,
+    episode_name,
+)
 from ..disk_errors import describe_disk_error
 from ..records import AttemptRecord, EpisodeRecord, Manifest, ManifestEntry, to_json
 from ..upgrade import upgrade_config
-from .directory_claim import MESHES, OpenMode, claim_directory, describe_unstated_meshes, require_same_config
+from .directory_claim import (
+    MESHES_KEY,
+    ExistingDatasetMode,
+    claim_directory,
+    describe_unstated_meshes,
+    require_same_config,
+)
 from .integrity import InspectedEpisode, inspect_episodes, quarantine_episode
 from .ledger import Ledger, placeholder_record
 
@@ -54,12 +68,12 @@ class DatasetWriter(AttemptLog, Closable):
 
     Attributes:
         config: all settings that determine the data, as in the dataset's config.yaml.
-        moved_aside: path of the backup of an earlier dataset, with `OpenMode.OVERWRITE`.
+        moved_aside: path of the backup of an earlier dataset, with `ExistingDatasetMode.OVERWRITE`.
         entries: episode number -> entry in the manifest.
     """
 
     def __init__(
-        self, path: Path, config: Mapping[str, Any], mode: OpenMode, *, locks_reach_others: bool = True
+        self, path: Path, config: Mapping[str, Any], mode: ExistingDatasetMode, *, locks_reach_others: bool = True
     ) -> None:
         """Open a dataset for writing. No other recorder can open the dataset until `close`.
 
@@ -142,7 +156,11 @@ class DatasetWriter(AttemptLog, Closable):
         self._check_config(config)
         ledger = Ledger(self.path)
         ledger.restore_lost_lines(
-            [record for found in inspect_episodes(self.path) if (record := self._accept_episode(found)) is not None]
+            [
+                record
+                for found in inspect_episodes(self.path)
+                if (record := self._keep_or_quarantine_episode(found)) is not None
+            ]
         )
         self._load_attempts(ledger)
         for attempt in self.attempts_without_episode:
@@ -165,16 +183,21 @@ class DatasetWriter(AttemptLog, Closable):
 
     def _check_config(self, config: Mapping[str, Any]) -> None:
         file = self.path / CONFIG_FILE
+        if (self.path / PROVENANCE_FILE).is_file():
+            raise DatasetError(
+                f"{self.path} was made from other datasets, so it cannot be resumed; record into another --out, and "
+                "merge the two with `yamsim merge`"
+            )
         if not file.is_file():
             raise DatasetError(f"{self.path} has no {CONFIG_FILE}, so it cannot be resumed; choose another --out")
         recorded = upgrade_config(parse_yaml(file.read_bytes(), str(file)).data)
-        if config.get(MESHES) is not None and recorded.get(MESHES) is None:
+        if config.get(MESHES_KEY) is not None and recorded.get(MESHES_KEY) is None:
             # Resume the dataset without meshes: they would be useless in only some of the episodes.
-            self.config = {**config, MESHES: None}
+            self.config = {**config, MESHES_KEY: None}
             self.repairs.append(describe_unstated_meshes(self.path, config))
         require_same_config(self.path, recorded, self.config)
 
-    def _accept_episode(self, found: InspectedEpisode) -> EpisodeRecord | None:
+    def _keep_or_quarantine_episode(self, found: InspectedEpisode) -> EpisodeRecord | None:
         record, fault = found.record, found.fault
         if record is None or fault is not None:
             self.repairs.append(
@@ -187,7 +210,7 @@ class DatasetWriter(AttemptLog, Closable):
 
 def config_for_new_episodes(config: RecordConfig, writer: DatasetWriter) -> RecordConfig:
     """Return the config for new episodes: `meshes` is None if the config of the dataset does not state them."""
-    return config if writer.config.get(MESHES) is not None else config.model_copy(update={"meshes": None})
+    return config if writer.config.get(MESHES_KEY) is not None else config.model_copy(update={"meshes": None})
 
 
 def _manifest_entry(record: EpisodeRecord, text: bytes, size: int) -> ManifestEntry:

@@ -124,8 +124,8 @@ class AnalyticIk:
         k = np.flatnonzero(is_undetermined | self._within_limits(5, q6, margin))
         q1, q5, q6, number = q1[k], q5[k], q6[k], number[k]
         ahead = np.einsum("nij,nj->ni", R[number], _rotate_all(_rotate_all(x, h5, -q5), h6, -q6))
-        q234 = np.angle(_as_complex(_rotate_all(ahead, h1, -q1)))
-        place = _as_complex(_rotate_all(wrist[number], h1, -q1) + self._a1) - self._a2
+        q234 = np.angle(_complex_from_xy(_rotate_all(ahead, h1, -q1)))
+        place = _complex_from_xy(_rotate_all(wrist[number], h1, -q1) + self._a1) - self._a2
         far = place - np.exp(1j * q234) * self._wrist
         c3 = (np.abs(far) ** 2 - abs(self._upper) ** 2 - abs(self._fore) ** 2) / 2
         q3, k = self._solve_angles_within_limits(2, bent.real, -bent.imag, c3, margin)
@@ -181,7 +181,7 @@ class AnalyticIk:
         """Yield joints (6,) for the flange's motion from zero, in the frame whose third axis is h."""
         rows = T[:3, :3].tolist()
         columns = tuple(zip(*rows, strict=True))
-        wrist = _minus(_to_vector(T[:3, :3] @ self._centre + T[:3, 3]), self._a1)
+        wrist = _subtract(_to_vector(T[:3, :3] @ self._centre + T[:3, 3]), self._a1)
         along_1 = self._h1[2] * _dot(self._h1, wrist)
         for q1 in _solve_cosine_sine_equation(
             wrist[2] - along_1, -_cross(self._h1, wrist)[2], self._height - self._a1[2] - along_1
@@ -286,7 +286,7 @@ def _skew_matrix(axis: Array) -> Array:
     return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
 
 
-def _as_complex(points: Array) -> Array:
+def _complex_from_xy(points: Array) -> Array:
     both: Array = points[:, 0] + 1j * points[:, 1]
     return both
 
@@ -317,7 +317,7 @@ def _cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def _minus(a: Vector, b: Vector) -> Vector:
+def _subtract(a: Vector, b: Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 

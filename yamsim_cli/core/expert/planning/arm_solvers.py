@@ -23,12 +23,12 @@ class ArmIkAndDynamics:
 def make_arm_ik_and_dynamics(rig: RigConfig) -> tuple[ArmIkAndDynamics, ...]:
     """Return the solvers of each arm in a rig's scene."""
 
-    def tools(number: int) -> ArmIkAndDynamics:
+    def solvers_of_arm(number: int) -> ArmIkAndDynamics:
         arm = rig.arms[number]
         ik = IkSolver(kinematic_model(arm), rig.T_base_in_world(number))
         return ArmIkAndDynamics(ik, ArmDynamics(arm_spec(arm, None).compile(), arm.robot))
 
-    return tuple(tools(number) for number in rig.recording_order)
+    return tuple(solvers_of_arm(number) for number in rig.recording_order)
 
 
 def start_postures(config: RecordConfig) -> tuple[ArmPosture, ...]:

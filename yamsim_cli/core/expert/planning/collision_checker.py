@@ -18,14 +18,14 @@ _OBJECT_DISTANCE = 0.003  # m that an object keeps from everything else
 _FINGER_DEPTH = 5e-4  # m that fingers may penetrate a grasped object: contacts are soft in physics
 
 _DESCENT_STEP = 0.004  # m, of the search for a resting height
-_BISECTIONS = 6  # of the last step of that search
+_DESCENT_BISECTIONS = 6  # of the last step of that search
 
 _LATERAL_STEP = 0.002  # m, of the search in `free_distance`
 _MIN_SUPPORT_NORMAL = 0.7  # vertical component of a contact's normal above which the contact is with the support
 
 # Two geoms collide if the type of one and the affinity of the other have a common bit. A body has the bits of all its
 # geoms.
-_MASKS = ("geom_contype", "geom_conaffinity", "body_contype", "body_conaffinity")
+_COLLISION_MASK_FIELDS = ("geom_contype", "geom_conaffinity", "body_contype", "body_conaffinity")
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class CollisionChecker:
         # The arm and the object that move in the model now, and cached masks for each such pair.
         self._moving: tuple[int | None, str | None] = (None, None)
         self._masks: dict[tuple[int | None, str | None], list[NDArray[np.int_]]] = {
-            (None, None): [getattr(self._model, name).copy() for name in _MASKS]
+            (None, None): [getattr(self._model, name).copy() for name in _COLLISION_MASK_FIELDS]
         }
 
     def find_contact(
@@ -127,7 +127,7 @@ class CollisionChecker:
         data.qpos[address : address + 2] = T_in_world[:2, 3]
         data.qpos[address + 3 : address + 7] = quat_from_rotation(T_in_world[:3, :3])
 
-        def meets(height: float) -> bool:
+        def is_in_contact_at(height: float) -> bool:
             data.qpos[address + 2] = height
             mujoco.mj_kinematics(self._model, data)
             self._update_contacts(None, thing)
@@ -137,14 +137,14 @@ class CollisionChecker:
         data.qpos[address + 2] = high
         mujoco.mj_kinematics(self._model, data)
         free = high - self._clearance_below(data, thing)
-        while high - _DESCENT_STEP > free or not meets(high - _DESCENT_STEP):
+        while high - _DESCENT_STEP > free or not is_in_contact_at(high - _DESCENT_STEP):
             high -= _DESCENT_STEP
             if high < lowest:
                 return lowest
         low = high - _DESCENT_STEP
-        for _ in range(_BISECTIONS):
+        for _ in range(_DESCENT_BISECTIONS):
             middle = (low + high) / 2
-            low, high = (middle, high) if meets(middle) else (low, middle)
+            low, high = (middle, high) if is_in_contact_at(middle) else (low, middle)
         return high
 
     def free_distance(self, qpos: Array, thing: str, direction: Array, maximum: float) -> float:
@@ -179,12 +179,12 @@ class CollisionChecker:
             self._moving = arm, thing
             if self._moving not in self._masks:
                 self._masks[self._moving] = self._collision_masks(arm, thing)
-            for name, mask in zip(_MASKS, self._masks[self._moving], strict=True):
+            for name, mask in zip(_COLLISION_MASK_FIELDS, self._masks[self._moving], strict=True):
                 getattr(self._model, name)[:] = mask
         mujoco.mj_collision(self._model, self._data)
 
     def _collision_masks(self, arm: int | None, thing: str | None) -> list[NDArray[np.int_]]:
-        """Return the values of `_MASKS`: moving geoms have only types, and static geoms only affinities."""
+        """Return masks with which moving geoms collide with others only: they have types, the others affinities."""
         moves = np.zeros(self._model.ngeom, bool)
         if arm is not None:
             moves |= self._arm_of == arm

@@ -10,9 +10,9 @@ from ...geometry.se3 import Array, invert_pose
 _DAMPING = 1e-3 * np.eye(6)  # of a least-squares step
 _MAX_STEP = 0.4  # rad, of a joint in a step
 _MAX_STEPS = 40
-_ROTATION_LEVER = 0.25  # m, distance that an error of 1 rad counts as
+_METRES_PER_RADIAN = 0.25  # m, distance that an error of 1 rad counts as
 
-# m and rad, of a returned solution, which `IkSolver` refines
+# m and rad, largest errors of a returned solution; `IkSolver` refines it
 _MAX_POSITION_ERROR = 3e-3
 _MAX_ROTATION_ERROR = math.radians(4.0)
 
@@ -40,7 +40,7 @@ class FastIkSolver:
             error = self._update_pose_error(T, joints)
             away, turn = float(error[:3] @ error[:3]), float(error[3:] @ error[3:])
             size = math.sqrt(away + turn)
-            if away < _MAX_POSITION_ERROR**2 and turn < (_MAX_ROTATION_ERROR * _ROTATION_LEVER) ** 2:
+            if away < _MAX_POSITION_ERROR**2 and turn < (_MAX_ROTATION_ERROR * _METRES_PER_RADIAN) ** 2:
                 return joints
             if size > _MIN_PROGRESS_RATIO * before[0]:
                 return None
@@ -52,15 +52,15 @@ class FastIkSolver:
         return None
 
     def _update_pose_error(self, T: Array, joints: Array) -> Array:
-        """Update the Jacobian, and return the pose error (6,) in the base frame: m, and rad times `_ROTATION_LEVER`."""
+        """Update the Jacobian, and return the pose error (6,) in the base: m, and rad times `_METRES_PER_RADIAN`."""
         model, data = self._model, self._data
         data.qpos[:] = joints
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_jacSite(model, data, self._jacobian[:3], self._jacobian[3:], self._site)
-        self._jacobian[3:] *= _ROTATION_LEVER
+        self._jacobian[3:] *= _METRES_PER_RADIAN
         # MuJoCo's arithmetic is faster than that of `geometry.se3`, and an attempt checks thousands of poses.
         turned = T[:3, :3] @ data.site_xmat[self._site].reshape(3, 3).T
         mujoco.mju_mat2Quat(self._quat, turned.ravel())
         mujoco.mju_quat2Vel(self._turn, self._quat, 1.0)
-        return np.concatenate([T[:3, 3] - data.site_xpos[self._site], _ROTATION_LEVER * self._turn])
+        return np.concatenate([T[:3, 3] - data.site_xpos[self._site], _METRES_PER_RADIAN * self._turn])

@@ -29,17 +29,19 @@ _DAMPING_DECREASE = 0.2  # after a successful step
 _DAMPING_INCREASE = 10.0  # after a failed step
 
 _QP_SOLVER = "daqp"
-_CONVERGED = 1e-5  # rad, of a joint in the last step
+_CONVERGED_JOINT_STEP = 1e-5  # rad, of a joint in the last step
 _CONVERGED_COST = 1e-14  # squared weighted error, as of 10 nm; rounding makes steps fail below this cost
 
 _MAX_STEP = 0.35  # rad, of a joint between poses of a path; more may be another IK branch
-_MAX_ROTATION_LAG = 1e-3  # rad, at the previous pose: above it, an exact solution would be a jump
+_MAX_TRACKED_ROTATION_ERROR = 1e-3  # rad, at the previous pose: above it, an exact solution would be a jump
 
 # rad. Nearer to a singular posture, as at the edge of the reach, exact joints on a path move fast and then turn back.
 # The search slows them down: below 0.2 rad, its steps differ from exact ones.
-_MIN_FROM_SINGULAR = 0.3
+_MIN_SINGULARITY_DISTANCE = 0.3
 
-_TILT_SHARE = 0.95  # share of the largest rotation error by which a hand tilts if the pose itself is out of reach
+_FALLBACK_TILT_SHARE = (
+    0.95  # share of the largest rotation error by which a hand tilts if the pose itself is out of reach
+)
 
 _REFINEMENT_ITERATIONS = 30  # from a solution of `FastIkSolver` to the exact pose
 
@@ -104,14 +106,14 @@ class IkSolver:
         rotation = np.empty(9)
         mujoco.mju_quat2Mat(rotation, pinch.quat)
         self._T_pinch_in_flange = pose(pinch.pos, rotation.reshape(3, 3))
-        self.set_held_frame(np.eye(4))
+        self.set_held_object_frame(np.eye(4))
 
     @property
     def has_analytic_ik(self) -> bool:
         """Whether the arm has analytic inverse kinematics: without an exact solution, a pose is out of reach."""
         return self._analytic is not None
 
-    def set_held_frame(self, T_object_in_pinch: Array) -> None:
+    def set_held_object_frame(self, T_object_in_pinch: Array) -> None:
         """Set the held frame, which later calls bring to their targets."""
         T = self._T_pinch_in_flange @ T_object_in_pinch
         tool = self._model.site("tool")
@@ -135,7 +137,9 @@ class IkSolver:
         search, which runs if no exact solution is near `before`.
         """
         start = before.joints
-        if before.tilt_error + before.heading_error <= _MAX_ROTATION_LAG and self._is_regular(start):
+        if before.tilt_error + before.heading_error <= _MAX_TRACKED_ROTATION_ERROR and self._is_far_from_singularity(
+            start
+        ):
             exact = self._solve_exact(T_tool_in_world, start)
             if exact is not None and np.abs(exact.joints - start).max() <= _MAX_STEP:
                 return exact
@@ -183,14 +187,16 @@ class IkSolver:
 
     def _solve_tilted(self, T_tool_in_world: Array, start: Array, tolerance: Tolerance) -> IkSolution | None:
         """Return an exact solution for a pose tilted by about the rotation tolerance."""
-        T_tilted = T_tool_in_world @ _tilt_rotations(_TILT_SHARE * tolerance.rotation)
+        T_tilted = T_tool_in_world @ _tilt_rotations(_FALLBACK_TILT_SHARE * tolerance.rotation)
         for k in np.flatnonzero(self.may_be_reachable(T_tilted, tolerance)):
             if (found := self._solve_exact(T_tilted[k], start, tolerance.joint_limit_margin)) is not None:
                 return found
         return None
 
-    def _is_regular(self, joints: Array) -> bool:
-        return self._analytic is not None and self._analytic.distance_from_singularity(joints) >= _MIN_FROM_SINGULAR
+    def _is_far_from_singularity(self, joints: Array) -> bool:
+        return (
+            self._analytic is not None and self._analytic.distance_from_singularity(joints) >= _MIN_SINGULARITY_DISTANCE
+        )
 
     def _joint_limit_margin(self, joints: Array) -> float:
         return float(np.minimum(joints - self._low, self._high - joints).min())
@@ -224,7 +230,7 @@ class IkSolver:
                     break
                 continue
             error, cost, damping = new_error, new_cost, max(damping * _DAMPING_DECREASE, _DAMPING_MIN)
-            if np.abs(change).max() < _CONVERGED:
+            if np.abs(change).max() < _CONVERGED_JOINT_STEP:
                 break
         joints = configuration.q
         return IkSolution(

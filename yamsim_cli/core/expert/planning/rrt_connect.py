@@ -8,8 +8,8 @@ import numpy as np
 
 from ...geometry.se3 import Array
 
-_MAX_BRANCH = 0.25  # rad, of a joint along a branch
-_EDGE_STEP = 0.06  # rad, of a joint between two contact checks on an edge
+_MAX_BRANCH_LENGTH = 0.25  # rad, of a joint along a branch
+_CONTACT_CHECK_STEP = 0.06  # rad, of a joint between two contact checks on an edge
 _MAX_BRANCHES = 400  # tried before the search gives up
 _GOAL_BIAS = 0.3  # share of branches that grow towards the other tree
 _SHORTCUTS = 40  # random, tried on a found path
@@ -47,8 +47,8 @@ def plan_rrt_connect(
         return None
     trees = [_Tree([start]), _Tree([goal])]
 
-    def free(one: Array, other: Array) -> bool:
-        number = max(1, math.ceil(float(np.abs(other - one).max()) / _EDGE_STEP))
+    def is_edge_free(one: Array, other: Array) -> bool:
+        number = max(1, math.ceil(float(np.abs(other - one).max()) / _CONTACT_CHECK_STEP))
         return not any(find_contact(one + (other - one) * k / number) for k in range(1, number + 1))
 
     for number in range(_MAX_BRANCHES):
@@ -60,20 +60,20 @@ def plan_rrt_connect(
         )
         near = growing.nearest_node(aim)
         new = _step_towards(growing.nodes[near], aim)
-        if not free(growing.nodes[near], new):
+        if not is_edge_free(growing.nodes[near], new):
             continue
         tip = growing.add_node(new, near)
-        met = _connect_tree(other, new, free)
+        met = _connect_tree(other, new, is_edge_free)
         if met is not None:
             path = [*growing.path_to_root(tip)[::-1], *other.path_to_root(met)[1:]]
-            return _shortcut_path(path[::-1] if number % 2 else path, free, rng)
+            return _shortcut_path(path[::-1] if number % 2 else path, is_edge_free, rng)
     return None
 
 
 def _step_towards(start: Array, goal: Array) -> Array:
     step = goal - start
     longest = float(np.abs(step).max())
-    moved: Array = start + step * min(1.0, _MAX_BRANCH / longest) if longest else start
+    moved: Array = start + step * min(1.0, _MAX_BRANCH_LENGTH / longest) if longest else start
     return moved
 
 

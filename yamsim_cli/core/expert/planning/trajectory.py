@@ -68,12 +68,12 @@ def plan_cartesian_line(
     distance = float(np.linalg.norm(T_tool_in_world[:3, 3] - T_start[:3, 3]))
     turn = rotation_vector(T_start[:3, :3].T @ T_tool_in_world[:3, :3])
 
-    def on_line(share: float) -> Array:
+    def pose_on_line(share: float) -> Array:
         position = T_start[:3, 3] + share * (T_tool_in_world[:3, 3] - T_start[:3, 3])
         return pose(position, T_start[:3, :3] @ rotation_from_vector(share * turn))
 
     seconds = max(distance / speed, float(np.linalg.norm(turn)) / _LINE_TURN_SPEED)
-    return plan_cartesian_curve(ik, start, on_line, seconds, tick)
+    return plan_cartesian_curve(ik, start, pose_on_line, seconds, tick)
 
 
 def plan_cartesian_curve(

@@ -11,9 +11,9 @@ from .grasp_candidates import GraspCandidate
 from .hand import WAYPOINT_TOLERANCE, Hand
 from .planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 
-GRIP_TICKS = 10
+CLOSING_TICKS = 10
 _OPEN_TICKS = 8
-_REST_TICKS = 4  # control ticks in which arms and a released object come to rest
+_SETTLING_TICKS = 4  # control ticks in which arms and a released object come to rest
 
 # m from a released object; the shorter retreat is used if the other ends near a joint limit
 _RETREAT_DISTANCE, _SHORT_RETREAT_DISTANCE = 0.07, 0.04
@@ -25,7 +25,7 @@ def close_fingers_on(context: PlanningContext, hand: Hand, candidate: GraspCandi
     Fingers close with the grasp's force. A hand with a weld closes to the object's width, and switches its weld on.
     """
     closing = FingerTarget(candidate.opening, 0.0 if hand.grasps_by_weld else candidate.force)
-    yield context.make_segment({hand: context.still_motion(hand, GRIP_TICKS)}, {hand: closing})
+    yield context.make_segment({hand: context.hold_still_motion(hand, CLOSING_TICKS)}, {hand: closing})
     hand.weld_commanded = hand.grasps_by_weld
     yield rest_segment(context)
 
@@ -35,7 +35,7 @@ def release_and_retreat(context: PlanningContext, hand: Hand, clearance: float) 
     opening = min(hand.opening + clearance, hand.max_opening)
     hand.weld_commanded = False
     yield context.make_segment(
-        {hand: context.still_motion(hand, _OPEN_TICKS)}, {hand: FingerTarget(opening)}, wait_for_arrival=False
+        {hand: context.hold_still_motion(hand, _OPEN_TICKS)}, {hand: FingerTarget(opening)}, wait_for_arrival=False
     )
     thing, hand.held_object = None if hand.held_object is None else hand.held_object.thing, None
     # Open fingers are still near the object. If no path is free of contacts, the first path is used.
@@ -98,7 +98,7 @@ def park_free_hands(context: PlanningContext, except_hand: Hand | None = None) -
 
 def rest_segment(context: PlanningContext) -> MotionSegment:
     """Return a short segment without motion, in which arms and released objects come to rest."""
-    return context.wait_segment(_REST_TICKS)
+    return context.wait_segment(_SETTLING_TICKS)
 
 
 def open_and_park_hands(context: PlanningContext) -> Iterator[MotionSegment]:

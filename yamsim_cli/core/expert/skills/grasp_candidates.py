@@ -28,14 +28,14 @@ _MAX_NARROW_HALF_WIDTH, _SIDE_CLEARANCE, _SIDE_RAISE = 0.010, 0.004, 0.004
 # Fingertip grasps, for places where even a tilted hand finds no room. m: offset of the hand from the object's middle
 # before closing; least distance of fingers from other objects.
 _FINGERTIP_OFFSET, _FINGERTIP_DISTANCE = 0.0025, 0.0015
-_FINGERTIP_RAISES = (_SIDE_RAISE, 2 * _SIDE_RAISE)  # m, retreats of the hand along its axis, in the order tried
+_FINGERTIP_RETREATS = (_SIDE_RAISE, 2 * _SIDE_RAISE)  # m, retreats of the hand along its axis, in the order tried
 
 # Directions in which an arm that stands on the table can point its fingers.
 _MAX_UPWARD = 0.3  # sine of the fingers' angle above horizontal
 _MAX_BACKWARD = -0.5  # cosine of the fingers' horizontal angle to the direction away from the base
 
 # For objects whose config has no grasp.
-CLEARANCE = 0.010  # m, additional opening of each finger before closing and after release
+DEFAULT_FINGER_CLEARANCE = 0.010  # m, additional opening of each finger before closing and after release
 _DEFAULT_FORCE = 15.0  # N, of each finger
 
 _MAX_PAIRS = 12  # antipodal pairs that are tried; each adds 16 candidates
@@ -109,7 +109,7 @@ def antipodal_candidates(item: ObjectConfig, spans: Sequence[AntipodalPair]) -> 
     """Yield grasps at antipodal pairs, with approaches all around each closing line."""
     grasp = item.grasp
     force = grasp.friction.force if grasp is not None and grasp.friction is not None else _DEFAULT_FORCE
-    clearance = grasp.clearance if grasp is not None else CLEARANCE
+    clearance = grasp.clearance if grasp is not None else DEFAULT_FINGER_CLEARANCE
     for pair in _distinct_pairs(spans):
         x = np.cross(pair.direction, (0.0, 0.0, 1.0) if abs(pair.direction[2]) < 0.9 else (1.0, 0.0, 0.0))
         x /= np.linalg.norm(x)
@@ -123,7 +123,7 @@ def antipodal_candidates(item: ObjectConfig, spans: Sequence[AntipodalPair]) -> 
 def fingertip_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
     """Yield grasps of a narrow object beside a wall by the fingertips, one of them close to it."""
     points = [point for point in _grasp_points(item) if point[1] <= _MAX_NARROW_HALF_WIDTH]
-    for raised, tilt in itertools.product(_FINGERTIP_RAISES, _SIDE_TILTS):
+    for raised, tilt in itertools.product(_FINGERTIP_RETREATS, _SIDE_TILTS):
         for T, opening, clearance, force in points:
             for lean, turn, side in itertools.product(_TILT_ANGLES[:3], (0.0, math.pi), (-1.0, 1.0)):
                 turned = rotation_from_vector([tilt, 0.0, 0.0]) @ rotation_z(turn)

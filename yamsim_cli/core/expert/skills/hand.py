@@ -64,7 +64,7 @@ class Hand:
         self.failed_grasps: list[HeldObject] = []
         self.joint_margin, self.allow_tilt = 0.0, False
 
-    def has_failed_with(self, thing: str, T_pinch_in_thing: Array) -> bool:
+    def is_similar_to_failed_grasp(self, thing: str, T_pinch_in_thing: Array) -> bool:
         """Return whether `failed_grasps` has a grasp similar to this."""
         earlier = [invert_pose(held.T_thing_in_pinch) for held in self.failed_grasps if held.thing == thing]
         return any(

@@ -22,37 +22,39 @@ from .hand import WAYPOINT_TOLERANCE, Hand, HeldObject
 from .planning_context import CachedIterable, FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from .skill import Skill, preference_levels, require_holding_hand
 
-_APPROACH = 0.08  # m, length of the receiver's straight approach
+_APPROACH_LENGTH = 0.08  # m, length of the receiver's straight approach
 
 _HANDOVER_X = (0.32, 0.26, 0.38, 0.44)  # m in front of the midpoint between the bases, in the order tried
 
-_MIN_ANGLE = math.radians(50)  # rad, hands whose fingers' directions differ by less collide unless side by side
+_MIN_FINGER_ANGLE = math.radians(50)  # rad, hands whose fingers' directions differ by less collide unless side by side
 # rad, hands whose directions differ by more face each other, and the object may roll about the line between them
 _FACING_ANGLE = math.radians(165)
-_MIN_APART = 0.07  # m, between hands that come from the same side: their fingers just pass each other
+_MIN_HAND_DISTANCE = 0.07  # m, between hands that come from the same side: their fingers just pass each other
 _ROOMY_DISTANCE = 0.13  # m, between hands whose fingers have room between them
 # Where handovers are searched, in the order tried: least and largest distance between the hands, m (infinite unless
 # they come from the same side); depth below `height`, m; angle, rad, from the line between bases to that between hands.
 # Lower places, which hands reach from above, come last.
 _SEARCH_ORDER = (
     (_ROOMY_DISTANCE, math.inf, 0.0, 0.0),
-    (_MIN_APART, _ROOMY_DISTANCE, 0.0, 0.0),
-    *((_MIN_APART, math.inf, lower, 0.0) for lower in (0.06, 0.12)),
+    (_MIN_HAND_DISTANCE, _ROOMY_DISTANCE, 0.0, 0.0),
+    *((_MIN_HAND_DISTANCE, math.inf, lower, 0.0) for lower in (0.06, 0.12)),
 )
-_TURNS = tuple(math.radians(angle) for angle in (30, -30, 60, -60))  # rad, between the lines, in the order tried
+_OBJECT_YAW_ANGLES = tuple(
+    math.radians(angle) for angle in (30, -30, 60, -60)
+)  # rad, between the lines, in the order tried
 _TURNED_SEARCH_ORDER = (
     *_SEARCH_ORDER,
-    *((_MIN_APART, math.inf, lower, turn) for turn in _TURNS for lower in (0.0, 0.06)),
+    *((_MIN_HAND_DISTANCE, math.inf, lower, turn) for turn in _OBJECT_YAW_ANGLES for lower in (0.0, 0.06)),
 )
 
 # Giver's grasps for which `Handover.infeasibility_reason` searches a handover while nothing moves. A search without
 # success takes half a second, and an object in a pile has hundreds of grasps.
-_MAX_SEARCHES = 24
+_MAX_POSE_SEARCHES = 24
 
 _BATCH_SIZE = 256  # grasps whose poses are tested in one call; the fixed cost of a call is that of 200 poses
 
 # rad, rolls of the object about the line between hands that face each other, in the order tried
-_ROLLS = tuple(math.radians(angle) for angle in (0, 90, 180, -90))
+_OBJECT_ROLL_ANGLES = tuple(math.radians(angle) for angle in (0, 90, 180, -90))
 
 
 @dataclass(frozen=True)
@@ -77,8 +79,8 @@ class Handover(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS_HELD: ClassVar[bool | None] = True
-    LEAVES_HELD: ClassVar[bool | None] = True
+    REQUIRES_HELD_OBJECT: ClassVar[bool | None] = True
+    LEAVES_OBJECT_HELD: ClassVar[bool | None] = True
     PLACES: ClassVar[tuple[tuple[float, float, float, float], ...]] = _SEARCH_ORDER
     thing: str
     to: Literal["left", "right", "first", "second", "other"] = "other"
@@ -127,7 +129,7 @@ class Handover(Skill):
             return None
         receiver = next(other for other in context.hands if other is not hand)
         searches = context.compute_once(("searches", self, hand.side, tuple(next_skills)), lambda: itertools.count(1))
-        if next(searches) > _MAX_SEARCHES:
+        if next(searches) > _MAX_POSE_SEARCHES:
             return f"no place found where the {receiver.side} hand can take it"
         if (
             self._find_handover_for(context, roles, hand, receiver, HeldObject(thing, T_thing_in_pinch), next_skills)
@@ -173,9 +175,7 @@ class Handover(Skill):
         for least, most, lower, turn in self.PLACES:
             places = [np.array((middle[0] + ahead, middle[1], height - lower)) for ahead in _HANDOVER_X]
             poses = _HandoverPoseSampler(rotation_z(turn) @ across, (least, most), np.array(places), attitude)
-            for number, grip, T_things in _reachable_poses(
-                giver, receiver, T_giving, grips.untested_or_suitable(), poses
-            ):
+            for number, grip, T_things in _reachable_poses(giver, receiver, T_giving, grips.iterate_suitable(), poses):
                 if check_first and not grips.is_suitable(number, grip):
                     continue
                 for T_thing in T_things:
@@ -217,7 +217,7 @@ class _ReceiverGrasps:
         self._candidates = CachedIterable(context.grasp_candidates(thing, receiver.max_opening))
         self.faults: dict[int, str | None] = {}
 
-    def untested_or_suitable(self) -> Iterator[tuple[int, GraspCandidate]]:
+    def iterate_suitable(self) -> Iterator[tuple[int, GraspCandidate]]:
         return ((number, grip) for number, grip in enumerate(self._candidates) if not self.faults.get(number))
 
     def is_suitable(self, number: int, candidate: GraspCandidate) -> bool:
@@ -276,7 +276,7 @@ def _solve_handover(
     giving = giver.solve_ik(T_giving, (giver.joints, giver.ready_joints), WAYPOINT_TOLERANCE)
     if giving is None:
         return None
-    before = receiver.solve_ik(T_receiving @ pose((0.0, 0.0, -_APPROACH)), (receiving,), WAYPOINT_TOLERANCE)
+    before = receiver.solve_ik(T_receiving @ pose((0.0, 0.0, -_APPROACH_LENGTH)), (receiving,), WAYPOINT_TOLERANCE)
     if before is None:
         return None
     return _HandoverPose(
@@ -302,14 +302,14 @@ class _HandoverOrientation:
     """Orientation of an object in which two hands grasp it from their own sides.
 
     Attributes:
-        R_thing: rotation from the object's frame to the handover frame. Its first axis leads from the giver to the
-            receiver, and its second axis points along both hands.
-        apart: distance between hands that point in similar directions, m; infinite for other hands.
+        R_thing_in_handover: rotation from the object's frame to the handover frame. Its first axis leads from
+            the giver to the receiver, and its second axis points along both hands.
+        hand_distance: distance between hands that point in similar directions, m; infinite for other hands.
         facing: whether the hands face each other, so that the object may roll about the line between them.
     """
 
-    R_thing: Array
-    apart: float
+    R_thing_in_handover: Array
+    hand_distance: float
     facing: bool
 
 
@@ -319,23 +319,25 @@ class _HandoverPoseSampler:
 
     Attributes:
         across: direction (3,) from the giver to the receiver, in `world`.
-        apart: least and largest `apart` of an orientation, m.
+        hand_distances: least and largest `hand_distance` of an orientation, m.
         places: of the object's origin (n, 3), in `world`, m.
         orientation_for: orientation for a grasp candidate of the receiver.
     """
 
     across: Array
-    apart: tuple[float, float]
+    hand_distances: tuple[float, float]
     places: Array
     orientation_for: Callable[[GraspCandidate], _HandoverOrientation | None]
 
     def poses_for(self, grips: Sequence[GraspCandidate]) -> tuple[Array, NDArray[np.intp]]:
         """Return poses (n, 4, 4) in `world` for candidates, and the index of each pose's candidate."""
-        attitudes, (least, most) = [self.orientation_for(grip) for grip in grips], self.apart
-        fitting = [(k, found) for k, found in enumerate(attitudes) if found and least <= found.apart <= most]
+        attitudes, (least, most) = [self.orientation_for(grip) for grip in grips], self.hand_distances
+        fitting = [(k, found) for k, found in enumerate(attitudes) if found and least <= found.hand_distance <= most]
         numbers = np.array([k for k, _ in fitting], np.intp)
-        R = self._rolled_frames @ np.array([found.R_thing for _, found in fitting]).reshape(-1, 1, 3, 3)
-        rolls = np.array([found.facing for _, found in fitting], bool)[:, None] | (np.arange(len(_ROLLS)) == 0)
+        R = self._rolled_frames @ np.array([found.R_thing_in_handover for _, found in fitting]).reshape(-1, 1, 3, 3)
+        rolls = np.array([found.facing for _, found in fitting], bool)[:, None] | (
+            np.arange(len(_OBJECT_ROLL_ANGLES)) == 0
+        )
         T = np.zeros((np.count_nonzero(rolls), len(self.places), 4, 4))
         T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R[rolls][:, None], self.places, 1.0
         return T.reshape(-1, 4, 4), numbers[np.nonzero(rolls)[0]].repeat(len(self.places))
@@ -344,7 +346,7 @@ class _HandoverPoseSampler:
     def _rolled_frames(self) -> Array:
         down = np.array((0.0, 0.0, -1.0))
         world = np.column_stack([self.across, down, np.cross(self.across, down)])
-        return np.array([rotation_from_vector(self.across * roll) @ world for roll in _ROLLS])
+        return np.array([rotation_from_vector(self.across * roll) @ world for roll in _OBJECT_ROLL_ANGLES])
 
 
 def _handover_orientation(T_giving: Array, T_receiving: Array) -> _HandoverOrientation | None:
@@ -352,10 +354,10 @@ def _handover_orientation(T_giving: Array, T_receiving: Array) -> _HandoverOrien
     giving, receiving = T_giving[:3, 2], T_receiving[:3, 2]
     angle = math.acos(max(-1.0, min(1.0, float(giving @ receiving))))
     first, apart = giving - receiving, math.inf
-    if angle < _MIN_ANGLE:
+    if angle < _MIN_FINGER_ANGLE:
         first = T_receiving[:3, 3] - T_giving[:3, 3]
         apart = float(np.linalg.norm(first))
-        if apart < _MIN_APART:
+        if apart < _MIN_HAND_DISTANCE:
             return None
     first = first / np.linalg.norm(first)
     second = giving + receiving
@@ -368,5 +370,5 @@ def _handover_orientation(T_giving: Array, T_receiving: Array) -> _HandoverOrien
         return None
     second = second / length
     (a, b, c), (x, y, z) = first.tolist(), second.tolist()
-    R_thing = np.array([first, second, (b * z - c * y, c * x - a * z, a * y - b * x)])
-    return _HandoverOrientation(R_thing, apart, angle > _FACING_ANGLE)
+    R_thing_in_handover = np.array([first, second, (b * z - c * y, c * x - a * z, a * y - b * x)])
+    return _HandoverOrientation(R_thing_in_handover, apart, angle > _FACING_ANGLE)

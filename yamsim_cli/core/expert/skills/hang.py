@@ -17,14 +17,14 @@ from .hand import WAYPOINT_TOLERANCE, Hand
 from .planning_context import MotionSegment, PlanningContext, SkillFailedError
 from .skill import Skill, require_holding_hand
 
-_DEPTHS = (0.045, 0.055, 0.035)  # m, of the eye behind the peg's tip, in the order tried
-_APPROACH = 0.04  # m, from the eye to the peg's tip when the straight approach starts
+_PEG_INSERTION_DEPTHS = (0.045, 0.055, 0.035)  # m, of the eye behind the peg's tip, in the order tried
+_APPROACH_LENGTH = 0.04  # m, from the eye to the peg's tip when the straight approach starts
 
 # rad, tilts of the object about the peg, in the order tried; the object may turn when released
-_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))
+_OBJECT_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))
 
 _HANG_SPEED = 0.10  # m/s, onto the peg and down
-_RELEASE_GAP = 0.001  # m, of the eye over the peg
+_RELEASE_HEIGHT_OVER_PEG = 0.001  # m, of the eye over the peg
 _SWING_TICKS = 40  # control ticks in which the object swings to rest
 
 
@@ -36,8 +36,8 @@ class Hang(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "onto")
-    NEEDS_HELD: ClassVar[bool | None] = True
-    LEAVES_HELD: ClassVar[bool | None] = False
+    REQUIRES_HELD_OBJECT: ClassVar[bool | None] = True
+    LEAVES_OBJECT_HELD: ClassVar[bool | None] = False
     thing: str
     onto: str
 
@@ -102,8 +102,8 @@ class Hang(Skill):
             yield context.make_segment({hand: plan_held_object_line(context, hand, T_on, _HANG_SPEED)})
             T_down = context.world.pose(thing)
             T_down[2, 3] = (
-                context.collision_checker.rest_height(context.qpos, thing, T_down, T_down[2, 3] - _APPROACH)
-                + _RELEASE_GAP
+                context.collision_checker.rest_height(context.qpos, thing, T_down, T_down[2, 3] - _APPROACH_LENGTH)
+                + _RELEASE_HEIGHT_OVER_PEG
             )
             yield context.make_segment({hand: plan_held_object_line(context, hand, T_down, _HANG_SPEED)})
             yield from release_and_retreat(context, hand, context.release_clearance(thing))
@@ -124,10 +124,10 @@ class Hang(Skill):
     ) -> Iterator[tuple[Array, Array]]:
         T_peg = context.world.handle_pose(roles.object_of(self.onto), "peg")
         T_eye_in_thing = invert_pose(context.world.pose(thing)) @ context.world.handle_pose(thing, "eye")
-        for T_eye in _eye_poses(T_peg):
+        for T_eye in _eye_poses_on_peg(T_peg):
             T_on = T_eye @ invert_pose(T_eye_in_thing)
             T_before = T_on.copy()
-            T_before[:3, 3] -= T_peg[:3, 2] * (_APPROACH + float((T_eye - T_peg)[:3, 3] @ T_peg[:3, 2]))
+            T_before[:3, 3] -= T_peg[:3, 2] * (_APPROACH_LENGTH + float((T_eye - T_peg)[:3, 3] @ T_peg[:3, 2]))
             before = hand.solve_ik(T_before @ invert_pose(T_thing_in_pinch), seeds, WAYPOINT_TOLERANCE)
             if before is not None:
                 yield before, T_on
@@ -138,12 +138,12 @@ class Hang(Skill):
                 raise SkillFailedError(FailureCause.OFF_TARGET, f"{measure.what}: {measure.detail}")
 
 
-def _eye_poses(T_peg: Array) -> Iterator[Array]:
+def _eye_poses_on_peg(T_peg: Array) -> Iterator[Array]:
     """Yield poses of an eye on a peg, in `world`, y up; least tilt first."""
     along = T_peg[:3, 2]
     horizontal = np.array((along[0], along[1], 0.0)) / math.hypot(along[0], along[1])
-    for lean in _TILTS:
-        for depth in _DEPTHS:
+    for lean in _OBJECT_TILTS:
+        for depth in _PEG_INSERTION_DEPTHS:
             for z in (horizontal, -horizontal):
                 R = np.column_stack([np.cross((0.0, 0.0, 1.0), z), (0.0, 0.0, 1.0), z]) @ rotation_z(lean)
                 yield pose(T_peg[:3, 3] + depth * along, R)

@@ -22,12 +22,12 @@ _MIN_SHARE_INSIDE = 0.3
 
 # shares of a container's height; a place must be inside the container at one of them. A container's bounding box also
 # covers space outside its walls, such as under a mug's handle.
-_HEIGHT_SHARES = (0.25, 0.5, 0.75)
+_CHECKED_HEIGHT_SHARES = (0.25, 0.5, 0.75)
 
 _MAX_TILT = math.radians(3.0)  # rad, an object that tilts more may also keep its tilt in the container
 
 # rad, headings relative to the container; earlier ones come first among goals that are equally low and central
-_TURNS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
+_OBJECT_HEADINGS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
 
 
 class Insert(PlaceSkill):
@@ -53,9 +53,9 @@ class Insert(PlaceSkill):
 
     def _upright_goals(self, context: PlanningContext, container: str, thing: str, step: float) -> list[Array]:
         T, (low, high) = context.world.pose(container), context.world.local_box(container)
-        heights = low[2] + np.array(_HEIGHT_SHARES) * (high - low)[2]
+        heights = low[2] + np.array(_CHECKED_HEIGHT_SHARES) * (high - low)[2]
         found = []
-        for turn in _TURNS:
+        for turn in _OBJECT_HEADINGS:
             heading = yaw(T) + turn
             half = context.half_footprint(thing, turn)
             ranges = [(low[k] + half[k], high[k] - half[k]) for k in (0, 1)]

@@ -10,14 +10,14 @@ from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
 from ...files.documents.units import Distance
 from ...geometry.se3 import Array, invert_pose, pose
-from .common_motions import GRIP_TICKS, release_and_retreat, rest_segment
+from .common_motions import CLOSING_TICKS, release_and_retreat, rest_segment
 from .grasp_candidates import GraspCandidate, is_orientation_plausible
 from .hand import WAYPOINT_TOLERANCE, Hand, HeldObject
 from .planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from .skill import Skill
 
-_APPROACH = 0.08  # m, length of each hand's straight approach
-_MIN_APART = 0.12  # m, between the two grasps
+_APPROACH_LENGTH = 0.08  # m, length of each hand's straight approach
+_MIN_GRASP_DISTANCE = 0.12  # m, between the two grasps
 _MAX_CANDIDATES = 24  # reachable grasps of each hand that are compared
 
 _LIFT_SPEED = 0.10  # m/s
@@ -27,8 +27,8 @@ class BimanualLift(Skill):
     """Grasp an object at two places, one with each hand, and lift it level, `by` m."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS_HELD: ClassVar[bool | None] = False
-    LEAVES_HELD: ClassVar[bool | None] = True
+    REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
+    LEAVES_OBJECT_HELD: ClassVar[bool | None] = True
     thing: str
     by: Distance = 0.10
 
@@ -48,7 +48,7 @@ class BimanualLift(Skill):
         lines = {hand: context.plan_line(hand, T_thing @ grip.T_pinch_in_thing) for hand, grip, *_ in found}
         yield context.make_segment(lines)
         closing = {hand: FingerTarget(grip.opening, grip.force) for hand, grip, *_ in found}
-        yield context.make_segment({hand: context.still_motion(hand, GRIP_TICKS) for hand in closing}, closing)
+        yield context.make_segment({hand: context.hold_still_motion(hand, CLOSING_TICKS) for hand in closing}, closing)
         yield rest_segment(context)
         holders = context.world.holding_sides(thing)
         if not {hand.side for hand in closing} <= holders:
@@ -79,7 +79,7 @@ class BimanualLift(Skill):
         )
         for first, second in pairs:
             apart = _pinch_position(first[1]) - _pinch_position(second[1])
-            if float(np.linalg.norm(apart)) < _MIN_APART:
+            if float(np.linalg.norm(apart)) < _MIN_GRASP_DISTANCE:
                 break
             qpos = context.qpos_with_hand(first[0], first[3], first[1].opening, None)
             if (
@@ -101,7 +101,9 @@ class BimanualLift(Skill):
                 continue
             at = hand.solve_ik(T_at, (hand.ready_joints,))
             before = (
-                None if at is None else hand.solve_ik(T_at @ pose((0.0, 0.0, -_APPROACH)), (at,), WAYPOINT_TOLERANCE)
+                None
+                if at is None
+                else hand.solve_ik(T_at @ pose((0.0, 0.0, -_APPROACH_LENGTH)), (at,), WAYPOINT_TOLERANCE)
             )
             if at is None or before is None:
                 continue

@@ -11,14 +11,14 @@ from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
 from ...config.objects.articulation import Link
 from ...geometry.se3 import Array, invert_pose, pose, rotation_from_vector
-from .common_motions import GRIP_TICKS, park_free_hands, release_and_retreat, rest_segment
-from .grasp_candidates import CLEARANCE
+from .common_motions import CLOSING_TICKS, park_free_hands, release_and_retreat, rest_segment
+from .grasp_candidates import DEFAULT_FINGER_CLEARANCE
 from .hand import WAYPOINT_TOLERANCE, Hand
 from .planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from .skill import ArmSelector, Skill
 
-_APPROACH = 0.08  # m, length of the straight approach to a handle
-_FORCE = 25.0  # N, of each finger on a handle
+_APPROACH_LENGTH = 0.08  # m, length of the straight approach to a handle
+_FINGER_FORCE = 25.0  # N, of each finger on a handle
 _HAND_SPEED = 0.12  # m/s, while it moves a part
 
 _MAX_GOAL_ERROR = 0.1  # share of the joint's range within which the joint is at its goal
@@ -58,7 +58,7 @@ class Operate(Skill):
             for handle in link.handles:
                 for turn in (0.0, math.pi):
                     T_in_part = handle.T_pinch_in_part @ pose(rotation=rotation_from_vector([0.0, 0.0, turn]))
-                    opening = min(handle.opening + CLEARANCE, hand.max_opening)
+                    opening = min(handle.opening + DEFAULT_FINGER_CLEARANCE, hand.max_opening)
                     before = self._solve_approach(context, hand, thing, T_part @ T_in_part, opening)
                     pose_at = self._pinch_path(context, thing, link, T_part, T_in_part)
                     if before is None or not _can_follow_path(hand, before, pose_at):
@@ -71,12 +71,12 @@ class Operate(Skill):
                         continue
                     yield context.make_segment({hand: path}, {hand: FingerTarget(opening)})
                     yield context.make_segment({hand: context.plan_line(hand, T_part @ T_in_part)})
-                    closing = FingerTarget(handle.opening, _FORCE)
-                    yield context.make_segment({hand: context.still_motion(hand, GRIP_TICKS)}, {hand: closing})
+                    closing = FingerTarget(handle.opening, _FINGER_FORCE)
+                    yield context.make_segment({hand: context.hold_still_motion(hand, CLOSING_TICKS)}, {hand: closing})
                     seconds = float(np.linalg.norm(pose_at(1.0)[:3, 3] - pose_at(0.0)[:3, 3])) / _HAND_SPEED
                     yield context.make_segment({hand: context.plan_curve(hand, pose_at, seconds)})
                     yield rest_segment(context)
-                    yield from release_and_retreat(context, hand, CLEARANCE)
+                    yield from release_and_retreat(context, hand, DEFAULT_FINGER_CLEARANCE)
                     return
         raise SkillFailedError(FailureCause.UNREACHABLE, fault)
 
@@ -86,7 +86,7 @@ class Operate(Skill):
         at = hand.solve_ik(T_at, (hand.joints, hand.ready_joints))
         if at is None or context.find_contact(hand, at, opening, grasped=thing):
             return None
-        before = hand.solve_ik(T_at @ pose((0.0, 0.0, -_APPROACH)), (at,), WAYPOINT_TOLERANCE)
+        before = hand.solve_ik(T_at @ pose((0.0, 0.0, -_APPROACH_LENGTH)), (at,), WAYPOINT_TOLERANCE)
         return None if before is None or context.find_contact(hand, before, opening) else before
 
     def _pinch_path(

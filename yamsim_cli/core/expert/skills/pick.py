@@ -22,7 +22,7 @@ from .skill import ArmSelector, Skill, find_holding_hand, preference_levels
 _APPROACH_DISTANCES = (0.09, 0.05)  # m, lengths of the straight approach; the shorter one is for tight places
 
 # Least distance from joint limits (rad), and whether hands may tilt at waypoints, in the order tried.
-_LIMITS = ((PREFERRED_JOINT_MARGIN, False), (0.0, False), (0.0, True))
+_PLANNING_LIMITS = ((PREFERRED_JOINT_MARGIN, False), (0.0, False), (0.0, True))
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class Pick(Skill):
     """Grasp an object and `lift` it (m), with an arm and a grasp that leave the next skills possible."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS_HELD: ClassVar[bool | None] = False
-    LEAVES_HELD: ClassVar[bool | None] = True
+    REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
+    LEAVES_OBJECT_HELD: ClassVar[bool | None] = True
     # Whether each motion waits until the arm has reached the end of the previous motion.
     WAIT_FOR_REST: ClassVar[bool] = True
     thing: str
@@ -61,7 +61,9 @@ class Pick(Skill):
             return
         places = next_skills[0].approximate_targets(context, roles, thing) if next_skills else ()
         reasons: dict[str, int] = {}
-        for following, (margin, tilts) in itertools.product(preference_levels(next_skills, context, roles), _LIMITS):
+        for following, (margin, tilts) in itertools.product(
+            preference_levels(next_skills, context, roles), _PLANNING_LIMITS
+        ):
             reasons.clear()
             for hand in self._hands_by_reach(context, thing, places):
                 with context.planning_limits(margin, tilts):
@@ -87,11 +89,11 @@ class Pick(Skill):
         places = [context.world.pose(thing)[:2, 3], *goals]
         hands = context.free_hands(self.arm)
 
-        def distance(hand: Hand) -> float:
+        def distance_to_object(hand: Hand) -> float:
             base = hand.arm.T_base_in_world[:2, 3]
             return max(float(np.linalg.norm(place - base)) for place in places)
 
-        return sorted(hands, key=distance)
+        return sorted(hands, key=distance_to_object)
 
     def grasp_and_lift(
         self, context: PlanningContext, hand: Hand, thing: str, found: ReachableGrasp
@@ -162,7 +164,7 @@ class Pick(Skill):
                 f"{2000 * hand.max_opening:.1f} mm"
             )
         T_at = context.world.pose(thing) @ candidate.T_pinch_in_thing
-        if hand.has_failed_with(thing, candidate.T_pinch_in_thing) or not is_orientation_plausible(
+        if hand.is_similar_to_failed_grasp(thing, candidate.T_pinch_in_thing) or not is_orientation_plausible(
             T_at, hand.arm.T_base_in_world
         ):
             return None

@@ -12,7 +12,7 @@ from pydantic import Field, FiniteFloat, model_validator
 from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
 from ...config.goals.world import TABLE
-from ...files.documents.units import QuantityBounds, Reach
+from ...files.documents.units import QuantityBounds, WorkspaceCoordinate
 from ...geometry.se3 import Array, invert_pose, pose, rotation_z, yaw
 from ..planning.collision_checker import AttachedObject
 from .common_motions import plan_held_object_line, release_and_retreat, rest_segment
@@ -30,7 +30,7 @@ _MAX_GOAL_ERROR = 0.03  # m, an object farther than this from its goal has not b
 _MAX_UPWARD = 0.1
 
 # rad, headings relative to the present one, the smallest first
-_TURNS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180))
+_YAW_ANGLES = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180))
 
 
 class PlaceSkill(Skill):
@@ -40,9 +40,9 @@ class PlaceSkill(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS_HELD: ClassVar[bool | None] = True
-    LEAVES_HELD: ClassVar[bool | None] = False
-    LOWERING: ClassVar[float] = 0.15  # m/s, speed at which an object comes down
+    REQUIRES_HELD_OBJECT: ClassVar[bool | None] = True
+    LEAVES_OBJECT_HELD: ClassVar[bool | None] = False
+    LOWERING_SPEED: ClassVar[float] = 0.15  # m/s, speed at which an object comes down
     thing: str
     drop: Annotated[FiniteFloat, QuantityBounds("m", 0, 0.05)] = 0.0
 
@@ -149,7 +149,7 @@ class PlaceSkill(Skill):
         self, context: PlanningContext, hand: Hand, thing: str, T_goal: Array
     ) -> Iterator[MotionSegment]:
         yield context.make_segment(
-            {hand: plan_held_object_line(context, hand, pose_raised_by(T_goal, _RELEASE_GAP), self.LOWERING)}
+            {hand: plan_held_object_line(context, hand, pose_raised_by(T_goal, _RELEASE_GAP), self.LOWERING_SPEED)}
         )
         yield rest_segment(context)
         yield from release_and_retreat(context, hand, context.release_clearance(thing))
@@ -178,9 +178,9 @@ class Place(PlaceSkill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "on", "start_of")
-    ANY_MATERIAL: ClassVar[tuple[str, ...]] = ("on",)
+    ROLES_OF_ANY_MATERIAL: ClassVar[tuple[str, ...]] = ("on",)
     on: str
-    at: tuple[Reach, Reach] | None = None
+    at: tuple[WorkspaceCoordinate, WorkspaceCoordinate] | None = None
     start_of: str | None = None
     step: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
     number: Annotated[int, Field(ge=0)] = 0
@@ -204,7 +204,7 @@ class Place(PlaceSkill):
         if self.heading_deg is not None:
             headings = [yaw(T_onto) + math.radians(self.heading_deg)]
         else:
-            headings = [yaw(context.world.pose(thing)) + turn for turn in _TURNS]
+            headings = [yaw(context.world.pose(thing)) + turn for turn in _YAW_ANGLES]
         for heading in headings:
             yield pose((*place, context.rest_height_over(thing, place, onto, heading)), rotation_z(heading))
 
@@ -236,12 +236,12 @@ class _PlaceInAnyStablePose(Place):
         lying = context.compute_once((self, "others", thing), lambda: self._lying_goals(context, roles, thing))
         T_pinch_in_thing = invert_pose(T_thing_in_pinch)
 
-        def forward(T: Array) -> Array:
+        def move_forward(T: Array) -> Array:
             direction: Array = (T @ T_pinch_in_thing)[:3, 2]
             return direction
 
-        reachable = [T for T in lying if forward(T)[2] < _MAX_UPWARD]
-        yield from sorted(reachable, key=lambda T: float(forward(T)[2]))
+        reachable = [T for T in lying if move_forward(T)[2] < _MAX_UPWARD]
+        yield from sorted(reachable, key=lambda T: float(move_forward(T)[2]))
 
     def _lying_goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
         """Return goals in stable poses other than upright, with the centre of mass over the point."""
@@ -250,7 +250,7 @@ class _PlaceInAnyStablePose(Place):
         heading = yaw(context.world.pose(thing))
         found = []
         for R in context.stable_rotations(thing)[1:]:
-            for turn in _TURNS:
+            for turn in _YAW_ANGLES:
                 turned = rotation_z(heading + turn) @ R
                 T = pose((*(place - (turned @ centre)[:2]), 0.0), turned)
                 T[2, 3] = context.rest_height_of(thing, T, self.support_name(roles))

@@ -28,7 +28,7 @@ from ..planning.trajectory import (
     time_waypoints,
 )
 from .grasp_candidates import (
-    CLEARANCE,
+    DEFAULT_FINGER_CLEARANCE,
     GraspCandidate,
     antipodal_candidates,
     fingertip_candidates,
@@ -41,9 +41,9 @@ from .hand import WAYPOINT_TOLERANCE, Hand, HeldObject
 _GRAVITY = 9.81  # m/s^2
 
 # The search for free places on the table.
-_FREE_MARGIN = 0.02  # m that an object keeps from others when put down
-_CENTRAL_X = (0.34, 0.42, 0.28)  # m in front of the midpoint between the bases, in the order tried
-_CENTRAL_Y = (0.0, 0.10, -0.10, 0.20, -0.20)  # m to the side of that midpoint, in the order tried
+_PLACE_CLEARANCE = 0.02  # m that an object keeps from others when put down
+_CENTRAL_PLACES_X = (0.34, 0.42, 0.28)  # m in front of the midpoint between the bases, in the order tried
+_CENTRAL_PLACES_Y = (0.0, 0.10, -0.10, 0.20, -0.20)  # m to the side of that midpoint, in the order tried
 
 _UPRIGHT_TILT = math.radians(10.0)  # rad, an object that tilts less stands upright
 
@@ -183,7 +183,7 @@ class PlanningContext:
         if thing not in self._antipodal_pairs:
             body = self.model.body(thing).id
             self._antipodal_pairs[thing] = find_antipodal_pairs(
-                self.model, self.world.data, body, 2 * (max_opening - CLEARANCE / 2)
+                self.model, self.world.data, body, 2 * (max_opening - DEFAULT_FINGER_CLEARANCE / 2)
             )
         yield from antipodal_candidates(self.object_configs[thing], self._antipodal_pairs[thing])
         yield from sideways_candidates(self.object_configs[thing])
@@ -229,7 +229,7 @@ class PlanningContext:
 
     def is_place_free(self, thing: str, place: Array) -> bool:
         """Return whether an upright object has room at a point (2,) on the table, m."""
-        room = float(np.hypot(*self.half_footprint(thing, 0.0))) + _FREE_MARGIN
+        room = float(np.hypot(*self.half_footprint(thing, 0.0))) + _PLACE_CLEARANCE
         low, high = self.world.aabb(TABLE)
         if (place - room < low[:2]).any() or (place + room > high[:2]).any():
             return False
@@ -249,12 +249,12 @@ class PlanningContext:
 
     def central_places(self) -> list[Array]:
         """Return points (2,) on the table about equally far from all acting arms, in `world`, m."""
-        return [self.base_midpoint + np.array((x, y)) for x in _CENTRAL_X for y in _CENTRAL_Y]
+        return [self.base_midpoint + np.array((x, y)) for x in _CENTRAL_PLACES_X for y in _CENTRAL_PLACES_Y]
 
     def release_clearance(self, thing: str) -> float:
         """Return how far each finger opens beyond an object's surface to release it, m."""
         grasp = self.object_configs[thing].grasp
-        return grasp.clearance if grasp is not None else CLEARANCE
+        return grasp.clearance if grasp is not None else DEFAULT_FINGER_CLEARANCE
 
     def find_contact(
         self,
@@ -285,12 +285,12 @@ class PlanningContext:
         """
         opening_on_way = max(hand.opening, opening if opening is not None else 0.0)
 
-        def touched(joints: Array) -> str | None:
+        def contact_at(joints: Array) -> str | None:
             return self.find_contact(hand, joints, opening_on_way, attached)
 
-        path = plan_free_path(hand, goal, touched, self.tick, self._rng)
+        path = plan_free_path(hand, goal, contact_at, self.tick, self._rng)
         if path is None:
-            blocked = touched(goal) or touched(hand.joints) or "everything between"
+            blocked = contact_at(goal) or contact_at(hand.joints) or "everything between"
             raise SkillFailedError(
                 FailureCause.UNREACHABLE, f"no free way for the {hand.side} arm: {blocked} is in the way"
             )
@@ -312,7 +312,7 @@ class PlanningContext:
             )
         return path
 
-    def still_motion(self, hand: Hand, ticks: int) -> Array:
+    def hold_still_motion(self, hand: Hand, ticks: int) -> Array:
         """Return a motion (ticks + 1, dof) that keeps a hand's joints."""
         return np.tile(hand.joints, (ticks + 1, 1))
 
@@ -335,7 +335,7 @@ class PlanningContext:
         paths = []
         for hand in self.hands:
             joints = motions.get(hand)
-            joints = self.still_motion(hand, ticks) if joints is None else _pad_motion(joints, ticks)
+            joints = self.hold_still_motion(hand, ticks) if joints is None else _pad_with_last_row(joints, ticks)
             target = (fingers or {}).get(hand, FingerTarget(hand.opening, hand.grip_force))
             progress = np.array([minimum_jerk((k + 1) / ticks) for k in range(ticks)])
             opening = hand.opening + progress * (target.opening - hand.opening)
@@ -355,7 +355,7 @@ class PlanningContext:
 
     def wait_segment(self, ticks: int) -> MotionSegment:
         """Return the segment in which all arms keep their joints."""
-        return self.make_segment({self.hands[0]: self.still_motion(self.hands[0], ticks)})
+        return self.make_segment({self.hands[0]: self.hold_still_motion(self.hands[0], ticks)})
 
     def holding_torques(self, hand: Hand, joints: Array, opening: float) -> Array:
         """Return the torques (dof,), N m, that hold an arm and its held object still."""
@@ -372,7 +372,7 @@ class PlanningContext:
         return torques + hand.dynamics.payload_torques((joints[1:] + joints[:-1]) / 2, centre[:3], weight)
 
 
-def _pad_motion(joints: Array, ticks: int) -> Array:
+def _pad_with_last_row(joints: Array, ticks: int) -> Array:
     return np.concatenate([joints, np.tile(joints[-1], (ticks + 1 - len(joints), 1))])
 
 
@@ -406,7 +406,7 @@ class CachedIterable(Generic[T]):
 
 
 _CROSSING_HEIGHT = 0.22  # m in `world`, least height of a hand that crosses the table
-_RAISE = 0.05  # m, least height by which a hand rises before it crosses the table
+_MIN_RISE = 0.05  # m, least height by which a hand rises before it crosses the table
 
 _RETREAT_STEP, _MAX_RETREAT_STEPS = 0.02, 6  # m and count, steps in which a hand rises from a contact
 
@@ -460,7 +460,7 @@ def _heuristic_waypoints(hand: Hand, start: Array, goal: Array) -> list[list[Arr
     raised = []
     for joints in (start, goal):
         T = hand.pinch_pose(joints)
-        T[2, 3] = max(T[2, 3] + _RAISE, _CROSSING_HEIGHT)
+        T[2, 3] = max(T[2, 3] + _MIN_RISE, _CROSSING_HEIGHT)
         raised.append(hand.solve_ik(T, [joints], WAYPOINT_TOLERANCE))
     up, down = raised
     paths = [[start, goal]]

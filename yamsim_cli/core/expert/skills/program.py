@@ -48,7 +48,7 @@ SKILLS: Mapping[str, type[Skill]] = {
 }
 
 # Key of a loop over the objects of a role: `each: {of: cup, do: [...]}`.
-_EACH = "each"
+_LOOP_KEY = "each"
 
 # attempts at a skill before the program fails; attempts after which a held object is put down and grasped anew
 _MAX_ATTEMPTS, _ATTEMPTS_WITH_SAME_GRASP = 3, 2
@@ -110,13 +110,13 @@ def _read_step(
     step: Mapping[str, Any], roles: RoleAssignment, path: tuple[str | int, ...], names: Mapping[str, str | int]
 ) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
     if len(step) != 1:
-        known = ", ".join((_EACH, *SKILLS))
+        known = ", ".join((_LOOP_KEY, *SKILLS))
         raise ConflictError(f"a step of a program has one key; give one of {known}", path)
     key, given = next(iter(step.items()))
-    if key == _EACH:
+    if key == _LOOP_KEY:
         yield from _unroll_loop(given, roles, (*path, key), names)
     elif key not in SKILLS:
-        raise ConflictError(f"unknown skill {key!r}; {suggest_similar(key, [*SKILLS, _EACH])}", (*path, key))
+        raise ConflictError(f"unknown skill {key!r}; {suggest_similar(key, [*SKILLS, _LOOP_KEY])}", (*path, key))
     else:
         yield (*path, key), _read_skill(key, given, roles, (*path, key), names)
 
@@ -224,17 +224,19 @@ def _step_to_retry(program: Sequence[Skill], number: int, context: PlanningConte
 
     If the step needs its object in a hand and no hand holds it, this is the last step before that picks it up.
     """
-    if not program[number].NEEDS_HELD:
+    if not program[number].REQUIRES_HELD_OBJECT:
         return number
     thing = _skill_object(program[number], roles)
     if find_holding_hand(context, thing) is not None:
         return number
-    takes = (k for k in reversed(range(number)) if program[k].LEAVES_HELD and not program[k].NEEDS_HELD)
+    takes = (
+        k for k in reversed(range(number)) if program[k].LEAVES_OBJECT_HELD and not program[k].REQUIRES_HELD_OBJECT
+    )
     return next((k for k in takes if _skill_object(program[k], roles) == thing), number)
 
 
 def _skill_object(skill: Skill, roles: RoleAssignment) -> str:
-    """Return the object of a skill's first role, to which `NEEDS_HELD` and `LEAVES_HELD` refer."""
+    """Return the object of a skill's first role, to which `REQUIRES_HELD_OBJECT` and `LEAVES_OBJECT_HELD` refer."""
     return roles.object_of(skill.roles()[0][1])
 
 
@@ -256,7 +258,7 @@ SKILL_SECONDS: Mapping[str, float] = {
     "fold": 6.8,
     "flatten": 7.0,
 }
-_THIRDS_FACTOR = 1.6  # of "fold", measured: folding in thirds takes two folds in one reach
+_FOLD_IN_THIRDS_FACTOR = 1.6  # of "fold", measured: folding in thirds takes two folds in one reach
 
 
 def typical_tick_count(task: ProgramTask) -> int:
@@ -270,4 +272,4 @@ def typical_tick_count(task: ProgramTask) -> int:
 
 def _typical_seconds(skill: Skill) -> float:
     (name,) = (name for name, known in SKILLS.items() if type(skill) is known)
-    return SKILL_SECONDS[name] * (_THIRDS_FACTOR if isinstance(skill, Fold) and skill.how == "thirds" else 1)
+    return SKILL_SECONDS[name] * (_FOLD_IN_THIRDS_FACTOR if isinstance(skill, Fold) and skill.how == "thirds" else 1)

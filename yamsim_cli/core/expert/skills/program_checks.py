@@ -30,7 +30,10 @@ from .push import Push
 from .skill import Skill
 
 # How a cloth's grid has to be divided for each fold that needs more than a grid; part of an error message.
-_GRIDS = {"diagonal": "equally many points along both sides", "thirds": "6, 9, 12, ... points along a side"}
+_FOLD_GRID_REQUIREMENTS = {
+    "diagonal": "equally many points along both sides",
+    "thirds": "6, 9, 12, ... points along a side",
+}
 
 
 def check_task_config(config: Config) -> None:
@@ -65,22 +68,22 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
     for path, skill in parse_steps(task.expert, roles, ("expert",)):
         thing = roles.object_of(skill.roles()[0][1])
         _check_arms(skill, sides, arms, path)
-        if skill.NEEDS_HELD and thing not in held:
+        if skill.REQUIRES_HELD_OBJECT and thing not in held:
             raise ConflictError(f"no hand holds the {thing} at this step; pick it first", path)
-        if skill.NEEDS_HELD is False and thing not in held and len(held) >= arms:
+        if skill.REQUIRES_HELD_OBJECT is False and thing not in held and len(held) >= arms:
             others = " and the ".join(sorted(held))
             raise ConflictError(f"no hand is free for the {thing}; put the {others} down first", path)
-        if skill.LEAVES_HELD is not None:
-            held = held | {thing} if skill.LEAVES_HELD else held - {thing}
+        if skill.LEAVES_OBJECT_HELD is not None:
+            held = held | {thing} if skill.LEAVES_OBJECT_HELD else held - {thing}
         if isinstance(skill, Operate):
             _check_part(task, roles, skill, path)
         if isinstance(skill, Hang):
             _check_hung(task, roles, Hung(thing=skill.thing, onto=skill.onto), path)
         for argument, role in skill.roles():
-            if task.may_be_cloth(role) != skill.OF_CLOTH and argument not in skill.ANY_MATERIAL:
+            if task.may_be_cloth(role) != skill.HANDLES_CLOTH and argument not in skill.ROLES_OF_ANY_MATERIAL:
                 problem = (
                     "is not cloth; give a role of cloth"
-                    if skill.OF_CLOTH
+                    if skill.HANDLES_CLOTH
                     else "is cloth; it can only be folded, or have objects placed onto it"
                 )
                 raise ConflictError(f"the {role} {problem}", (*path, argument))
@@ -117,8 +120,8 @@ def _check_fold(task: ProgramTask, roles: RoleAssignment, skill: Fold, arms: int
     for item in next(one.of for role, one in task.things.items() if thing in roles.objects_of(role)):
         if item.cloth is not None and not fold_plans(skill.how, *reversed(item.cloth.grid)):
             raise ConflictError(
-                f"the {item.name} cannot be folded {skill.description}: that needs {_GRIDS[skill.how]}, not "
-                f"{' x '.join(map(str, item.cloth.grid))}",
+                f"the {item.name} cannot be folded {skill.description}: that needs "
+                f"{_FOLD_GRID_REQUIREMENTS[skill.how]}, not {' x '.join(map(str, item.cloth.grid))}",
                 (*path, "how"),
             )
 
@@ -235,8 +238,8 @@ def program_contradiction(task: ProgramTask) -> str | None:
         things = {thing for _, role in skill.roles() for thing in roles.objects_of(role)}
         thing = roles.object_of(skill.roles()[0][1])
         moved |= things
-        if skill.LEAVES_HELD is not None:
-            held = held | {thing} if skill.LEAVES_HELD else held - {thing}
+        if skill.LEAVES_OBJECT_HELD is not None:
+            held = held | {thing} if skill.LEAVES_OBJECT_HELD else held - {thing}
         if isinstance(skill, Handover):
             handed_over.add(thing)
 

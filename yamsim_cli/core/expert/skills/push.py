@@ -11,14 +11,14 @@ from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
 from ...config.goals.world import TABLE
 from ...files.documents.config_base import Positive
-from ...files.documents.units import Reach
+from ...files.documents.units import WorkspaceCoordinate
 from ...geometry.se3 import Array, pose, rotation_z
-from .common_motions import GRIP_TICKS, park_free_hands, rest_segment
+from .common_motions import CLOSING_TICKS, park_free_hands, rest_segment
 from .hand import WAYPOINT_TOLERANCE, Hand
 from .planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from .skill import ArmSelector, Skill
 
-_START_GAP = 0.03  # m, between the object and the fingers when they come down behind it
+_FINGER_GAP_BEHIND_OBJECT = 0.03  # m, between the object and the fingers when they come down behind it
 _APPROACH_HEIGHT = 0.10  # m above the pushing height, from which the fingers come down
 _PUSH_HEIGHT = 0.02  # m, of the fingertips over the table
 
@@ -27,9 +27,9 @@ _PUSH_SPEED = 0.10  # m/s
 _MAX_PUSHES = 3
 
 # rad about the vertical axis, in the order tried; at 0, the fingers stand side by side
-_TURNS = (0.0, math.pi, math.pi / 2, -math.pi / 2)
+_HAND_HEADINGS = (0.0, math.pi, math.pi / 2, -math.pi / 2)
 # rad from straight down, in the order tried
-_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 40))
+_HAND_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 40))
 
 
 class Push(Skill):
@@ -42,7 +42,7 @@ class Push(Skill):
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     thing: str
-    to: tuple[Reach, Reach]
+    to: tuple[WorkspaceCoordinate, WorkspaceCoordinate]
     radius: Positive = 0.02
     arm: ArmSelector = "any"
 
@@ -70,10 +70,10 @@ class Push(Skill):
         heading = math.atan2(displacement[1], displacement[0])
         half = float(context.half_footprint(thing, -heading)[0])
         direction = displacement / np.linalg.norm(displacement)
-        first, last = start - direction * (half + _START_GAP), np.array(self.to) - direction * half
+        first, last = start - direction * (half + _FINGER_GAP_BEHIND_OBJECT), np.array(self.to) - direction * half
         hands = context.free_hands(self.arm)
         for hand in sorted(hands, key=lambda hand: float(np.linalg.norm(hand.arm.T_base_in_world[:2, 3] - first))):
-            for lean, turn in itertools.product(_TILTS, _TURNS):
+            for lean, turn in itertools.product(_HAND_TILTS, _HAND_HEADINGS):
                 found = self._solve_start_and_end(context, hand, first, last, heading + turn, lean)
                 if found is None:
                     continue
@@ -81,11 +81,11 @@ class Push(Skill):
                 joints, T_first, T_last = found
                 closed = FingerTarget(0.0)
                 yield context.make_segment({hand: context.plan_free_path(hand, joints)}, {hand: closed})
-                yield context.make_segment({hand: context.still_motion(hand, GRIP_TICKS)}, {hand: closed})
+                yield context.make_segment({hand: context.hold_still_motion(hand, CLOSING_TICKS)}, {hand: closed})
                 yield context.make_segment({hand: context.plan_line(hand, T_first)})
                 yield context.make_segment({hand: context.plan_line(hand, T_last, _PUSH_SPEED)})
                 T_back = T_last.copy()
-                T_back[:2, 3] -= direction * _START_GAP
+                T_back[:2, 3] -= direction * _FINGER_GAP_BEHIND_OBJECT
                 yield context.make_segment({hand: context.plan_line(hand, T_back)})
                 T_back[2, 3] += _APPROACH_HEIGHT
                 yield context.make_segment({hand: context.plan_line(hand, T_back)})

@@ -17,7 +17,7 @@ from .planning_context import MotionSegment, PlanningContext, SkillFailedError
 from .skill import ArmSelector, Skill, require_holding_hand
 
 # rad, headings relative to the present one, in the order tried
-_TURNS = (0.0, math.pi / 2, -math.pi / 2, math.pi)
+_OBJECT_HEADINGS = (0.0, math.pi / 2, -math.pi / 2, math.pi)
 
 # m and count: radii of rings around the object's position, and places on each; tried if no central place is free
 _RING_RADII, _PLACES_PER_RING = (0.0, 0.06, 0.12, 0.18), 8
@@ -38,7 +38,7 @@ class PutAside(PlaceSkill):
         return [
             pose((*place, context.rest_height_over(thing, place, TABLE, heading + turn)), rotation_z(heading + turn))
             for place in places
-            for turn in _TURNS
+            for turn in _OBJECT_HEADINGS
         ]
 
     def _free_places(self, context: PlanningContext, thing: str, places: Sequence[Array]) -> list[Array]:
@@ -95,8 +95,8 @@ class Regrasp(Skill):
     """Put a held object down and pick it up again with `arm` and a grasp that leave the next skills possible."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS_HELD: ClassVar[bool | None] = True
-    LEAVES_HELD: ClassVar[bool | None] = True
+    REQUIRES_HELD_OBJECT: ClassVar[bool | None] = True
+    LEAVES_OBJECT_HELD: ClassVar[bool | None] = True
     thing: str
     arm: ArmSelector = "any"
 

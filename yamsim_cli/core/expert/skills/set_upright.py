@@ -30,7 +30,7 @@ class SetUpright(PlaceSkill):
     the object.
     """
 
-    NEEDS_HELD: ClassVar[bool | None] = None
+    REQUIRES_HELD_OBJECT: ClassVar[bool | None] = None
 
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
@@ -70,10 +70,10 @@ class SetUpright(PlaceSkill):
 
 
 # rad, from the direction towards the arms to the upper end, in the order tried
-_DEVIATIONS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60))
-_SHIFTS = (0.0, 0.06, 0.12)  # m, towards the arms, which reach nearer places best
+_HEADING_DEVIATIONS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60))
+_SHIFTS_TOWARDS_ARMS = (0.0, 0.06, 0.12)  # m, towards the arms, which reach nearer places best
 
-_DROP_FROM = 0.2  # m over the table, where the search for the resting height starts
+_SEARCH_START_HEIGHT = 0.2  # m over the table, where the search for the resting height starts
 
 
 class TurnTowardsArms(PlaceSkill):
@@ -87,13 +87,15 @@ class TurnTowardsArms(PlaceSkill):
         towards = context.base_midpoint - middle[:2]
         towards /= np.linalg.norm(towards)
         found = []
-        for shift in _SHIFTS:
-            for deviation in _DEVIATIONS:
+        for shift in _SHIFTS_TOWARDS_ARMS:
+            for deviation in _HEADING_DEVIATIONS:
                 turn = math.atan2(towards[1], towards[0]) + deviation - math.atan2(T[1, 2], T[0, 2])
                 R = rotation_z(turn)
                 origin = middle + R @ (T[:3, 3] - middle)
                 origin[:2] += shift * towards
-                T_goal = pose((*origin[:2], table + _DROP_FROM), R @ T[:3, :3])
-                T_goal[2, 3] = context.collision_checker.rest_height(context.qpos, thing, T_goal, table - _DROP_FROM)
+                T_goal = pose((*origin[:2], table + _SEARCH_START_HEIGHT), R @ T[:3, :3])
+                T_goal[2, 3] = context.collision_checker.rest_height(
+                    context.qpos, thing, T_goal, table - _SEARCH_START_HEIGHT
+                )
                 found.append(T_goal)
         return found

@@ -25,11 +25,11 @@ class Skill(Config):
     ROLES: ClassVar[tuple[str, ...]]
     # Whether the skill needs its object in a hand, and whether it leaves the object in a hand. None: either state is
     # allowed before, and the skill does not change it.
-    NEEDS_HELD: ClassVar[bool | None] = None
-    LEAVES_HELD: ClassVar[bool | None] = None
-    # Whether the skill manipulates cloth, else rigid objects; roles in `ANY_MATERIAL` may be either.
-    OF_CLOTH: ClassVar[bool] = False
-    ANY_MATERIAL: ClassVar[tuple[str, ...]] = ()
+    REQUIRES_HELD_OBJECT: ClassVar[bool | None] = None
+    LEAVES_OBJECT_HELD: ClassVar[bool | None] = None
+    # Whether the skill manipulates cloth, else rigid objects; roles in `ROLES_OF_ANY_MATERIAL` may be either.
+    HANDLES_CLOTH: ClassVar[bool] = False
+    ROLES_OF_ANY_MATERIAL: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def run(

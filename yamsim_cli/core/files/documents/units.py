@@ -1,6 +1,6 @@
 """Quantities with a unit and plausible bounds: a value far out of bounds was probably given in another unit.
 
-The configs of recorded datasets may have values beyond the bounds, see `RECORDED`.
+The configs of recorded datasets may have values beyond the bounds, see `SKIP_BOUNDS_CONTEXT`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pydantic_core import CoreSchema, core_schema
 from .config_base import require_ordered
 
 # Pydantic context in which bounds are not checked: a recorded dataset's config stays valid after a change of bounds.
-RECORDED: Mapping[str, bool] = {"recorded": True}
+SKIP_BOUNDS_CONTEXT: Mapping[str, bool] = {"recorded": True}
 
 # Correct unit -> mistaken unit -> size of the mistaken unit in the correct unit.
 _MISTAKEN_UNITS: Mapping[str, Mapping[str, float]] = {
@@ -67,7 +67,7 @@ class QuantityBounds:
 
 def is_recorded_config(info: ValidationInfo | None) -> bool:
     """Return whether pydantic validates the config of a recorded dataset."""
-    return info is not None and info.context == RECORDED
+    return info is not None and info.context == SKIP_BOUNDS_CONTEXT
 
 
 def _refuse_radians(value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
@@ -92,11 +92,11 @@ FieldOfView = Annotated[
     FiniteFloat, QuantityBounds("degrees", 4, 179)
 ]  # vertical field of view; every value in radians is below the lower bound
 JointAngle = Annotated[FiniteFloat, QuantityBounds("rad", -2 * math.pi, 2 * math.pi)]
-Reach = Annotated[
+WorkspaceCoordinate = Annotated[
     FiniteFloat, QuantityBounds("m", -2.5, 2.5)
 ]  # x or y of a place that an arm can reach, in `world` or relative to the arm
 
 PlacePoint = tuple[Place, Place, Place]
 OffsetPoint = tuple[Offset, Offset, Offset]
-ReachRange = Annotated[tuple[Reach, Reach], AfterValidator(require_ordered)]
+WorkspaceRange = Annotated[tuple[WorkspaceCoordinate, WorkspaceCoordinate], AfterValidator(require_ordered)]
 HeadingRange = Annotated[tuple[Heading, Heading], AfterValidator(require_ordered), AfterValidator(_refuse_radians)]

@@ -19,8 +19,8 @@ KeyPath = tuple[str | int, ...]
 
 _MAX_BYTES = 1_000_000  # bytes; a larger config is a mistake or an attack
 
-_INT = re.compile(r"^[-+]?[0-9]+$")
-_FLOAT = re.compile(
+_INTEGER_PATTERN = re.compile(r"^[-+]?[0-9]+$")
+_FLOAT_PATTERN = re.compile(
     r"^(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|Nan|NaN|NAN))$"
 )
 
@@ -49,8 +49,8 @@ _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF")
 )
 _Loader.add_implicit_resolver("tag:yaml.org,2002:null", re.compile(r"^(?:~|null|Null|NULL|)$"), ["~", "n", "N", ""])
-_Loader.add_implicit_resolver("tag:yaml.org,2002:int", _INT, list("-+0123456789"))
-_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+0123456789."))
+_Loader.add_implicit_resolver("tag:yaml.org,2002:int", _INTEGER_PATTERN, list("-+0123456789"))
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT_PATTERN, list("-+0123456789."))
 
 
 def _construct_int(loader: _Loader, node: yaml.ScalarNode) -> int:
@@ -68,9 +68,9 @@ def _parse_float(text: str) -> float:
 
 def number_or_text(text: str) -> int | float | str:
     """Return an unquoted word of YAML as a number if possible."""
-    if _INT.fullmatch(text):
+    if _INTEGER_PATTERN.fullmatch(text):
         return int(text)
-    return _parse_float(text) if _FLOAT.fullmatch(text) else text
+    return _parse_float(text) if _FLOAT_PATTERN.fullmatch(text) else text
 
 
 def _construct_opencv_matrix(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:

@@ -11,7 +11,7 @@ from .generated_shape import GeneratedShape, PrimitiveData, ShapeGrasp, ShapePie
 
 _RIM_DEPTH = 0.008  # m, of the finger pads' middle below a grasped rim
 _MAX_DEPTH = 0.040  # m below the top; deeper, the palm would touch the top
-_WIDEST = 0.091  # m, object width between the pads
+_MAX_GRASP_WIDTH = 0.091  # m, object width between the pads
 
 
 @dataclass(frozen=True)
@@ -211,7 +211,11 @@ def make_block(
     collision = [box_data((0, 0, size[2] / 2), size)]
     height = max(size[2] / 2, size[2] - _MAX_DEPTH)
     axes = sorted(((size[0], 0.0), (size[1], 90.0)))
-    grasps = [ShapeGrasp("body", (0.0, 0.0, round(height, 4)), axis, width) for width, axis in axes if width <= _WIDEST]
+    grasps = [
+        ShapeGrasp("body", (0.0, 0.0, round(height, 4)), axis, width)
+        for width, axis in axes
+        if width <= _MAX_GRASP_WIDTH
+    ]
     return GeneratedShape(tuple(pieces), tuple(collision), tuple(grasps), support_height=size[2])
 
 
@@ -252,9 +256,9 @@ class RackSizes:
 
 
 _RACK_FLOOR, _RACK_CORNER = 0.012, 0.03  # m, height of the floor's wires; radius of the corners
-_RAIL = 0.7  # height of the rail as a share of the tines' height
+_RAIL_HEIGHT_RATIO = 0.7  # height of the rail as a share of the tines' height
 _ROWS, _BETWEEN = 0.37, 0.12  # shares of the half depth, y of the tines and of the floor's inner wires
-_BOW = 0.03  # m, radius of the bows' corners
+_BOW_CORNER_RADIUS = 0.03  # m, radius of the bows' corners
 
 
 def make_rack(size: RackSizes) -> GeneratedShape:
@@ -263,24 +267,24 @@ def make_rack(size: RackSizes) -> GeneratedShape:
     x, y, height = size.size[0] / 2 - r, size.size[1] / 2 - r, size.size[2]
     pieces, collision = [], list[PrimitiveData]()
 
-    def wire(path: Array) -> None:
+    def add_wire(path: Array) -> None:
         flat = abs(path[-1, 2] - path[0, 2]) < 0.5 * np.ptp(path[:, :2], axis=0).max()
         pieces.append(ShapePiece("body", tube(path, r, r, (0.31, 0.17, 0.93) if flat else (1, 0.1, 0), 8)))
         collision.extend(capsules_along(path, r))
 
-    for z in (_RACK_FLOOR, _RAIL * size.tine):
+    for z in (_RACK_FLOOR, _RAIL_HEIGHT_RATIO * size.tine):
         frame = rounded_rectangle(x, y, _RACK_CORNER, z, 5)
-        wire(np.concatenate([frame, frame[:1]]))
+        add_wire(np.concatenate([frame, frame[:1]]))
     for sx in (-1, 1):
-        wire(_end_handle_path(sx * x, y - _RACK_CORNER, r, height - r))
+        add_wire(_end_handle_path(sx * x, y - _RACK_CORNER, r, height - r))
     rows = (-_ROWS * y, _ROWS * y)
     for k in range(size.slots + 1):
         at = (k - size.slots / 2) * size.slot
-        wire(np.array([[at, -y, _RACK_FLOOR], [at, y, _RACK_FLOOR]]))
+        add_wire(np.array([[at, -y, _RACK_FLOOR], [at, y, _RACK_FLOOR]]))
         for row in rows:
-            wire(np.array([[at, row, _RACK_FLOOR], [at, row, size.tine - r]]))
+            add_wire(np.array([[at, row, _RACK_FLOOR], [at, row, size.tine - r]]))
     for along in (*rows, -_BETWEEN * y, _BETWEEN * y):
-        wire(np.array([[-x, along, _RACK_FLOOR], [x, along, _RACK_FLOOR]]))
+        add_wire(np.array([[-x, along, _RACK_FLOOR], [x, along, _RACK_FLOOR]]))
     z = round(height - r, 4)
     grasps = (
         ShapeGrasp("edge", (round(x, 4), 0.0, z), 0.0, size.wire),
@@ -291,7 +295,10 @@ def make_rack(size: RackSizes) -> GeneratedShape:
 
 def _end_handle_path(x: float, half: float, foot: float, top: float) -> Array:
     turn = np.linspace(0, np.pi / 2, 4)
-    across, up = half - _BOW + _BOW * np.cos(turn), top - _BOW + _BOW * np.sin(turn)
+    across, up = (
+        half - _BOW_CORNER_RADIUS + _BOW_CORNER_RADIUS * np.cos(turn),
+        top - _BOW_CORNER_RADIUS + _BOW_CORNER_RADIUS * np.sin(turn),
+    )
     side = np.concatenate([[[half, foot]], np.column_stack([across, up])])
     both = np.concatenate([side, side[::-1] * (-1.0, 1.0)])
     return np.column_stack([np.full(len(both), x), both])

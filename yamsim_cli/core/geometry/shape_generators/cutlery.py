@@ -18,10 +18,10 @@ from .generated_shape import (
     simplify_polyline,
 )
 
-Kind = Literal["spoon", "fork", "knife", "turner"]
+CutleryKind = Literal["spoon", "fork", "knife", "turner"]
 
 _CLEAR_HEIGHT = 0.018  # m, of the finger pads' middle, at which the pads of a tilted hand clear the table
-_MAX_RAISE = 0.004  # m, of the pads' middle over that of the handle
+_MAX_RAISE = 0.004  # m, height of the pads' middle over the handle's middle
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class CutlerySizes:
         handle: thickness of the handle.
     """
 
-    kind: Kind
+    kind: CutleryKind
     size: tuple[float, float, float]
     grip: float
     thickness: float
@@ -117,26 +117,26 @@ def _spoon_head(size: CutlerySizes) -> tuple[Surface, list[PrimitiveData]]:
     y0, y1 = size.size[1] / 2 - long, size.size[1] / 2
     deep, neck = 0.40 * size.size[2], _neck_height(size)
 
-    def along(t: float) -> float:
+    def y_along_head(t: float) -> float:
         # From -1 to 1, faster at the start, for an egg shape with its blunt end at the tip.
         return float(2 * t**0.9 - 1)
 
-    def half(t: float) -> float:
-        return float(wide / 2 * np.sqrt(max(1 - along(t) ** 2, 0.0)) + 1e-4)
+    def half_width_at(t: float) -> float:
+        return float(wide / 2 * np.sqrt(max(1 - y_along_head(t) ** 2, 0.0)) + 1e-4)
 
-    def rim(t: float) -> float:
+    def rim_height_at(t: float) -> float:
         return float(deep + (neck - thick / 2 - deep) * max(0.0, 1 - t / 0.5) ** 2)
 
     def height(x: Array, t: float) -> Array:
-        hollow = np.maximum(1 - along(t) ** 2 - (x / (wide / 2)) ** 2, 0.0)
-        bottom: Array = np.maximum(rim(t) - deep * hollow**0.6, 0.0)
+        hollow = np.maximum(1 - y_along_head(t) ** 2 - (x / (wide / 2)) ** 2, 0.0)
+        bottom: Array = np.maximum(rim_height_at(t) - deep * hollow**0.6, 0.0)
         return bottom
 
-    surface = _curved_sheet(lambda t: (-half(t), half(t)), height, (y0, y1), thick)
+    surface = _curved_sheet(lambda t: (-half_width_at(t), half_width_at(t)), height, (y0, y1), thick)
     radius = thick * 0.6
     turn = np.linspace(0.03, 0.97, 8)
     edge = [
-        (s * (half(float(t)) - radius), y0 + long * float(t), rim(float(t)) + thick - radius)
+        (s * (half_width_at(float(t)) - radius), y0 + long * float(t), rim_height_at(float(t)) + thick - radius)
         for s in (1, -1)
         for t in turn[::s]
     ]
@@ -145,7 +145,7 @@ def _spoon_head(size: CutlerySizes) -> tuple[Surface, list[PrimitiveData]]:
     for share in (-0.66, -0.33, 0.0, 0.33, 0.66):
         bar = []
         for s in np.linspace(0.1, 0.92, 7):
-            x = share * half(float(s))
+            x = share * half_width_at(float(s))
             bar.append((x, y0 + long * s, float(height(np.array([x]), float(s))[0]) + radius))
         parts += capsules_along(simplify_polyline(np.array(bar), 0.0006), radius)
     return surface, parts
@@ -162,11 +162,11 @@ def _fork_head(size: CutlerySizes) -> tuple[Surface, list[PrimitiveData]]:
         levels = [neck - thick / 2, 0.42 * neck, 0.08 * neck, 0.0, 0.22 * neck]
         return float(np.interp(t, [0, 0.25, 0.5, 0.75, 1], levels))
 
-    def half(t: float) -> float:
+    def half_width_at(t: float) -> float:
         return float(wide / 2 * np.interp(t / root, [0, 0.3, 0.7, 1], [0.18, 0.45, 0.9, 1.0]))
 
     palm = _curved_sheet(
-        lambda t: (-half(root * t), half(root * t)),
+        lambda t: (-half_width_at(root * t), half_width_at(root * t)),
         lambda x, t: np.full_like(x, height(root * t)),
         (y0, y0 + root * long),
         thick,
@@ -182,7 +182,9 @@ def _fork_head(size: CutlerySizes) -> tuple[Surface, list[PrimitiveData]]:
         parts += capsules_along(simplify_polyline(path - [0, radius, 0], 0.0005), radius)
     t = np.linspace(0, root, 5)
     for sign in (-1.0, -0.35, 0.35, 1.0):
-        rail = np.array([(sign * (half(float(s)) - radius), y0 + long * s, height(float(s)) + radius) for s in t])
+        rail = np.array(
+            [(sign * (half_width_at(float(s)) - radius), y0 + long * s, height(float(s)) + radius) for s in t]
+        )
         parts += capsules_along(rail, radius)
     lift = max(0.0, radius - thick / 2)
     return transform_surface(concatenate_surfaces(surfaces), (0, 0, lift)), parts
@@ -193,25 +195,25 @@ def _knife_blade(size: CutlerySizes) -> tuple[Surface, list[PrimitiveData]]:
     y0, y1 = size.size[1] / 2 - long, size.size[1] / 2
     neck = _neck_height(size)
 
-    def edges(t: float) -> tuple[float, float]:
+    def blade_edges_at(t: float) -> tuple[float, float]:
         back = wide / 2 * float(np.interp(t, [0, 0.6, 0.9, 1], [0.55, 0.8, 0.5, 0.05]))
         blade = -wide / 2 * float(np.interp(t, [0, 0.12, 0.7, 0.92, 1], [0.5, 0.95, 1.0, 0.62, 0.0]))
         return blade, back
 
-    def level(t: float) -> float:
+    def height_at(t: float) -> float:
         # The knife lies on its blade and on the handle's end.
         return float((neck - thick / 2) * max(0.0, 1 - t / 0.3) ** 1.6)
 
-    surface = _curved_sheet(edges, lambda x, t: np.full_like(x, level(t)), (y0, y1), thick)
+    surface = _curved_sheet(blade_edges_at, lambda x, t: np.full_like(x, height_at(t)), (y0, y1), thick)
     radius = thick / 2
     t = np.concatenate([np.linspace(0.0, 0.3, 4), np.linspace(0.3, 0.99, 5)[1:]])
     parts: list[PrimitiveData] = []
     for share in (0.0, 0.33, 0.67, 1.0):
         rail = []
         for s in t:
-            low, high = edges(float(s))
+            low, high = blade_edges_at(float(s))
             x = low + radius + share * max(high - low - 2 * radius, 0)
-            rail.append((x, y0 + (long - radius) * s, level(float(s)) + radius))
+            rail.append((x, y0 + (long - radius) * s, height_at(float(s)) + radius))
         parts += capsules_along(simplify_polyline(np.array(rail), 0.0008), radius)
     return surface, parts
 
@@ -221,26 +223,35 @@ def _turner_blade(size: CutlerySizes) -> tuple[Surface, list[PrimitiveData]]:
     y0, y1 = size.size[1] / 2 - long, size.size[1] / 2
     neck = _neck_height(size)
 
-    def half(t: float) -> float:
+    def half_width_at(t: float) -> float:
         return float(wide / 2 * np.interp(t, [0, 0.12, 0.35, 0.9, 1], [0.2, 0.35, 0.88, 1.0, 0.93]))
 
-    def level(t: float) -> float:
+    def height_at(t: float) -> float:
         return float((neck - thick / 2) * max(0.0, 1 - t / 0.5) ** 1.6)
 
-    surface = _curved_sheet(lambda t: (-half(t), half(t)), lambda x, t: np.full_like(x, level(t)), (y0, y1), thick)
+    surface = _curved_sheet(
+        lambda t: (-half_width_at(t), half_width_at(t)), lambda x, t: np.full_like(x, height_at(t)), (y0, y1), thick
+    )
     radius = thick / 2
     t = np.linspace(0, 1, 9)
     parts: list[PrimitiveData] = []
     for share in (-1.0, -0.6, -0.2, 0.2, 0.6, 1.0):
-        rail = [(share * (half(float(s)) - radius), y0 + (long - radius) * s, level(float(s)) + radius) for s in t]
+        rail = [
+            (share * (half_width_at(float(s)) - radius), y0 + (long - radius) * s, height_at(float(s)) + radius)
+            for s in t
+        ]
         parts += capsules_along(simplify_polyline(np.array(rail), 0.0006), radius)
     parts.append(
-        capsule_data((-half(1.0) + radius, y1 - radius, radius), (half(1.0) - radius, y1 - radius, radius), radius)
+        capsule_data(
+            (-half_width_at(1.0) + radius, y1 - radius, radius),
+            (half_width_at(1.0) - radius, y1 - radius, radius),
+            radius,
+        )
     )
     return surface, parts
 
 
-_HEADS: Mapping[Kind, Callable[[CutlerySizes], tuple[Surface, list[PrimitiveData]]]] = {
+_HEADS: Mapping[CutleryKind, Callable[[CutlerySizes], tuple[Surface, list[PrimitiveData]]]] = {
     "spoon": _spoon_head,
     "fork": _fork_head,
     "knife": _knife_blade,

@@ -31,14 +31,19 @@ def _pipe_surface(radius: float, length: float, wall: float, slant: float, ridge
     outer = radius * (1 - (0.03 + 0.03 * np.cos(ridges * angle) if ridges else 0.0 * angle))
     straight = length / 2 - slant * radius
 
-    def loop(r: Array, end: float, inset: float) -> Array:
+    def outline_at_end(r: Array, end: float, inset: float) -> Array:
         x, z = r * np.cos(angle), r * np.sin(angle)
         return np.column_stack([x, end * (straight - inset) + slant * z, z + radius])
 
     bevel = min(0.0006, radius / 6)
-    loops = [loop(outer - bevel, -1, 0), loop(outer, -1, bevel), loop(outer, 1, bevel), loop(outer - bevel, 1, 0)]
+    loops = [
+        outline_at_end(outer - bevel, -1, 0),
+        outline_at_end(outer, -1, bevel),
+        outline_at_end(outer, 1, bevel),
+        outline_at_end(outer - bevel, 1, 0),
+    ]
     if not wall:
         return loft(loops[::-1])
     inner = np.full(_SEGMENTS, radius - wall)
-    loops += [loop(inner, 1, 0), loop(inner, -1, 0)]
+    loops += [outline_at_end(inner, 1, 0), outline_at_end(inner, -1, 0)]
     return loft_closed(loops[::-1])

@@ -24,11 +24,11 @@ Handles = Literal["none", "loop", "ears"]
 
 _VISUAL_FACES = 48  # around the axis
 _BOXES, _FEW_BOXES = 24, 16  # around the axis of a wide and of a narrow vessel
-_NARROW = 0.05  # m, largest radius of a narrow vessel
+_MAX_NARROW_RADIUS = 0.05  # m, largest radius of a narrow vessel
 _TOLERANCE = 0.0010  # m, of collision segments from the profile
 _MAX_WIDTH = 0.091  # m, for a grasp across the body: linear_4310 opens 95 mm
 _RIM_DEPTH = 0.014  # m, of the finger pads' middle below a grasped rim, so that the rim is above the pads
-_PAD = 0.008  # m, half the height of a finger pad
+_HALF_PAD_HEIGHT = 0.008  # m, half the height of a finger pad
 _MAX_DEPTH = 0.040  # m below the top; deeper, the palm would touch the top
 _NECK_DEPTH = 0.014  # m below the rim, of a grasp on a neck
 
@@ -101,7 +101,7 @@ def make_vessel(size: VesselSizes) -> GeneratedShape:
 
 
 def _segment_count(size: VesselSizes) -> int:
-    return _BOXES if size.diameter / 2 > _NARROW else _FEW_BOXES
+    return _BOXES if size.diameter / 2 > _MAX_NARROW_RADIUS else _FEW_BOXES
 
 
 def _outer_radius(size: VesselSizes, inside: Array, height: float) -> float:
@@ -157,7 +157,7 @@ def _vessel_grasps(size: VesselSizes, inside: Array) -> list[ShapeGrasp]:
             turn = np.radians(angle)
             place = (round(radius * float(np.cos(turn)), 4) + 0.0, round(radius * float(np.sin(turn)), 4) + 0.0, z)
             inwards, width = float(angle + 180) % 360, round(size.wall + bulge, 4)
-            depth = _RIM_DEPTH + _PAD
+            depth = _RIM_DEPTH + _HALF_PAD_HEIGHT
             found.append(ShapeGrasp("rim", place, inwards, width, tilt_deg=round(math.degrees(tilt), 1), depth=depth))
     return found
 
@@ -168,7 +168,7 @@ def _rim_wall(size: VesselSizes, inside: Array) -> tuple[float, float, float, fl
     # The depth is measured along the wall, because the rim of a plate is flat.
     under = np.linalg.norm(wall - wall[0], axis=1)
     middle = min(_RIM_DEPTH, under[-1] / 2)
-    places = middle + np.linspace(-1, 1, 9) * min(_PAD, middle)
+    places = middle + np.linspace(-1, 1, 9) * min(_HALF_PAD_HEIGHT, middle)
     line = np.column_stack([np.interp(places, under, wall[:, k]) for k in (0, 1)])
     up = (line[0] - line[-1]) / np.linalg.norm(line[0] - line[-1])
     out = np.array([up[1], -up[0]])

@@ -18,11 +18,11 @@ from ...files.documents.units import QuantityBounds
 from ...geometry.se3 import Array
 
 _Length = Annotated[FiniteFloat, QuantityBounds("mm", 20, 300)]
-_Across = Annotated[FiniteFloat, QuantityBounds("mm", 2, 100)]
+_WidthMm = Annotated[FiniteFloat, QuantityBounds("mm", 2, 100)]
 _Thickness = Annotated[FiniteFloat, QuantityBounds("mm", 0.2, 10)]
 
 _MAX_THICKNESS = 0.5  # of walls and ribs, as a share of the distance between two ribs
-_TIP_STIFFNESS = 1e3  # as a multiple of the walls' stretching stiffness: nearly rigid
+_TIP_STIFFNESS_RATIO = 1e3  # as a multiple of the walls' stretching stiffness: nearly rigid
 
 
 class FinRay(Config):
@@ -45,9 +45,9 @@ class FinRay(Config):
 
     feet: tuple[str, str]
     length_mm: _Length
-    base_mm: _Across
-    tip_mm: _Across
-    width_mm: _Across
+    base_mm: _WidthMm
+    tip_mm: _WidthMm
+    width_mm: _WidthMm
     wall_mm: _Thickness
     rib_mm: _Thickness
     ribs: int = Field(ge=2, le=16)
@@ -154,7 +154,7 @@ def slip_stiffness(finger: FinRay) -> Array:
     ribs = 12 * finger.youngs_modulus * inertia / finger.wall_spacing(finger.hinge_heights[1:]) ** 3
     leaning = np.hypot(finger.rib_spacing, (finger.wall_spacing(0.0) - finger.wall_spacing(finger.length)) / n)
     stretch = finger.youngs_modulus * finger.width * finger.wall_thickness / (finger.rib_spacing + leaning)
-    held = np.diag(np.append(ribs, _TIP_STIFFNESS * stretch))
+    held = np.diag(np.append(ribs, _TIP_STIFFNESS_RATIO * stretch))
     # Stretch of both walls below a rib reduces the slip at the rib. The walls stretch so that the energy is least.
     before = np.tril(np.ones((n, n)))
     give = stretch * np.eye(n) + before.T @ held @ before
@@ -165,7 +165,7 @@ def slip_stiffness(finger: FinRay) -> Array:
 def hinge_coupling_springs(finger: FinRay) -> Array:
     """Return coefficients (n, n), m. Each row is a spring of 1 N/m; its elongation is the row times the hinge angles.
 
-    The energy of all springs together is that of `slip_stiffness`.
+    The energy of all springs together equals the energy by `slip_stiffness`.
     """
     rows = np.linalg.cholesky(slip_stiffness(finger)).T @ slip_jacobian(finger)
     # Rounding errors of exact zeros differ between linear algebra libraries.

@@ -16,9 +16,9 @@ from .finger import FinRay
 Point = tuple[float, float]
 T = TypeVar("T")
 
-_OVERLAP = 0.0025  # m, of neighbouring pieces of the back wall, which slide along each other in a bend
+_WALL_OVERLAP = 0.0025  # m, of neighbouring pieces of the back wall, which slide along each other in a bend
 _TIP_FACES = 12  # around the end of the tip
-_GRID = 1e-7  # m, of all coordinates, so that rounding does not depend on the machine
+_COORDINATE_GRID = 1e-7  # m, of all coordinates, so that rounding does not depend on the machine
 
 
 def segment_file(k: int) -> str:
@@ -45,7 +45,10 @@ class _CrossSection:
         self.cells.append([self._index(corner) for corner in corners])
 
     def _index(self, corner: Point) -> int:
-        point = (round(corner[0] / _GRID) * _GRID, round(corner[1] / _GRID) * _GRID)
+        point = (
+            round(corner[0] / _COORDINATE_GRID) * _COORDINATE_GRID,
+            round(corner[1] / _COORDINATE_GRID) * _COORDINATE_GRID,
+        )
         if point not in self.points:
             self.points.append(point)
         return self.points.index(point)
@@ -73,30 +76,30 @@ def _segment_section(finger: FinRay, k: int) -> _CrossSection:
     half, bay, low = finger.wall_thickness / 2, finger.rib_spacing, k * finger.rib_spacing
     section = _CrossSection()
 
-    def depth(x: float) -> float:
+    def depth_at(x: float) -> float:
         return float(finger.wall_spacing(low + x))
 
-    def front(x0: float, x1: float) -> None:
+    def add_front_wall(x0: float, x1: float) -> None:
         section.add((x0, -half), (x1, -half), (x1, half), (x0, half))
 
-    def back(x0: float, x1: float) -> None:
-        a, b = -depth(x0), -depth(x1)
+    def add_back_wall(x0: float, x1: float) -> None:
+        a, b = -depth_at(x0), -depth_at(x1)
         section.add((x0, a - half), (x1, b - half), (x1, b + half), (x0, a + half))
 
     last = k == finger.segment_count - 1
     foot = finger.rib_thickness if k else 0.0
-    end = bay - (depth(bay) + finger.wall_thickness) / 2 if last else bay
+    end = bay - (depth_at(bay) + finger.wall_thickness) / 2 if last else bay
     if k:
-        front(0.0, foot)
-        section.add((0.0, half - depth(0.0)), (foot, half - depth(foot)), (foot, -half), (0.0, -half))
-        back(0.0, foot)
-        back(-_OVERLAP, 0.0)
-    front(foot, end)
-    back(foot, end)
+        add_front_wall(0.0, foot)
+        section.add((0.0, half - depth_at(0.0)), (foot, half - depth_at(foot)), (foot, -half), (0.0, -half))
+        add_back_wall(0.0, foot)
+        add_back_wall(-_WALL_OVERLAP, 0.0)
+    add_front_wall(foot, end)
+    add_back_wall(foot, end)
     if last:
-        _add_tip_cells(section, end, bay, half, depth(end))
+        _add_tip_cells(section, end, bay, half, depth_at(end))
     else:
-        back(bay, bay + _OVERLAP)
+        add_back_wall(bay, bay + _WALL_OVERLAP)
     return section
 
 

@@ -16,7 +16,7 @@ _OSCILLATION_TIME = 3e-3
 
 
 def add_fingers(root: Element, name: str, finger: FinRay) -> None:
-    """Add both fingers to a gripper's MJCF; `name` is that of the gripper and of its asset set.
+    """Add both fingers to a gripper's MJCF; the gripper and its asset set are called `name`.
 
     The MJCF must have default classes: `pad` and `wall` for boxes of front and back walls, `rib` for boxes of ribs
     without collisions, and `soft` for meshes. Each foot must be a body without a joint, else KeyError is raised. Its

@@ -43,7 +43,7 @@ def _check_member(path: str) -> str:
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 # No folders, leading dots, or characters that a shell or pip would interpret.
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$")]
-Member = Annotated[str, AfterValidator(_check_member)]
+ArchiveMember = Annotated[str, AfterValidator(_check_member)]
 
 
 class _Frozen(BaseModel):
@@ -65,7 +65,7 @@ class LockedFile(_Frozen):
 
     sha256: Sha256
     size: PositiveInt
-    member: Member
+    member: ArchiveMember
     reduction: Reduction | None = None
 
 
@@ -120,14 +120,14 @@ class AssetSet(_Frozen):
 class AssetLock(_Frozen):
     """All asset sets, the archives that contain them, and file name -> license text.
 
-    `made` is set -> file -> content, for the meshes that `load_lock` generates.
+    `generated_sets` is set -> file -> content, for the meshes that `load_lock` generates.
     """
 
     version: Literal[1]
     archives: Mapping[Name, Archive]
     sets: Mapping[Name, AssetSet]
     notices: Mapping[Name, str]
-    made: Mapping[Name, Mapping[Name, bytes]] = Field(default_factory=dict, repr=False)
+    generated_sets: Mapping[Name, Mapping[Name, bytes]] = Field(default_factory=dict, repr=False)
 
     @model_validator(mode="after")
     def _references_exist(self) -> Self:
@@ -183,7 +183,7 @@ def _read_lock(locations: Locations) -> AssetLock:
         raise ConfigError(f"{path}: {where}: {first['msg']}, found {first['input']!r:.80}") from error
 
 
-_MADE_NOTICE = "made.txt"  # license text of generated meshes
+_GENERATED_NOTICE = "made.txt"  # license text of generated meshes
 
 
 def load_lock(locations: Locations) -> AssetLock:
@@ -201,9 +201,13 @@ def load_lock(locations: Locations) -> AssetLock:
     if not made:
         return lock
     sets = {name: _generated_set(name, files) for name, files in made.items()}
-    notice = locations.find_data_file(f"{NOTICES}/{_MADE_NOTICE}").read_text(encoding="utf-8")
+    notice = locations.find_data_file(f"{NOTICES}/{_GENERATED_NOTICE}").read_text(encoding="utf-8")
     return lock.model_copy(
-        update={"sets": {**lock.sets, **sets}, "notices": {**lock.notices, _MADE_NOTICE: notice}, "made": made}
+        update={
+            "sets": {**lock.sets, **sets},
+            "notices": {**lock.notices, _GENERATED_NOTICE: notice},
+            "generated_sets": made,
+        }
     )
 
 
@@ -212,7 +216,7 @@ def _generated_set(name: str, files: Mapping[str, bytes]) -> AssetSet:
         name=name,
         license="MIT",
         attribution=f"Made by yamsim from the figures of the gripper {name}.",
-        notice=_MADE_NOTICE,
+        notice=_GENERATED_NOTICE,
         archive=None,
         menagerie=None,
         files={

@@ -75,8 +75,8 @@ class AssetStore:
         return self.root / assets.directory_name
 
     @property
-    def failure_mark(self) -> Path:
-        """Its modification time is that of the last failed `fetch_missing`."""
+    def fetch_failure_file(self) -> Path:
+        """File whose modification time is when `fetch_missing` last failed."""
         return self.root / ".fetch-failed"
 
     def find_verified_folder(self, assets: AssetSet) -> Path | None:
@@ -159,7 +159,7 @@ def _count_files_with_status(files: tuple[FileState, ...], status: FileStatus) -
 
 
 def is_user_set(set_name: str) -> bool:
-    """Return whether the name is that of a user set, which is not in the lock."""
+    """Return whether the name belongs to a user set, which is not in the lock."""
     return _NAME.fullmatch(set_name) is not None
 
 

@@ -27,7 +27,7 @@ class ChildResult:
     stderr: str
 
 
-def python_call(function: Callable[..., object], *arguments: str | int) -> list[str]:
+def python_call_command(function: Callable[..., object], *arguments: str | int) -> list[str]:
     """Return the command that calls a module-level function of yamsim in another Python process.
 
     -P prevents imports from the current folder.

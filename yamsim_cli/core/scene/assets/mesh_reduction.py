@@ -24,7 +24,7 @@ from .asset_lock import AssetSet, Reduction
 from .asset_store import AssetStore
 
 MAX_DEVIATION_MM = 0.5  # Hausdorff distance between a reduced mesh and its source
-_SLIVERS_MM = 0.2  # of sliver removal for a mesh without a `Reduction` in the lock
+_DEFAULT_SLIVERS_MM = 0.2  # of sliver removal for a mesh without a `Reduction` in the lock
 _AGGRESSIVENESS = 6.0  # of the collapse, 0 to 10; below 5 the collapse stalls on CAD meshes, above 7 it tears them
 _SAMPLES = 1000  # on each surface for the distance; the tests use twenty times as many
 _MM = 1000.0  # mm per metre; the STL files are in metres
@@ -37,7 +37,7 @@ Surface = tuple[Array, Faces]
 def reduction_fingerprint() -> str:
     """Return all constants and library versions on which a reduction depends, as text."""
     libraries = " ".join(f"{name} {version(name)}" for name in ("manifold3d", "fast-simplification"))
-    return f"1 {_SLIVERS_MM} {_AGGRESSIVENESS} {MAX_DEVIATION_MM} {_SAMPLES} {libraries}"
+    return f"1 {_DEFAULT_SLIVERS_MM} {_AGGRESSIVENESS} {MAX_DEVIATION_MM} {_SAMPLES} {libraries}"
 
 
 def reduce_stl(data: bytes, reduction: Reduction | None) -> bytes:
@@ -45,7 +45,7 @@ def reduce_stl(data: bytes, reduction: Reduction | None) -> bytes:
     vertices, triangles = decode_stl(data)
     source = vertices * _MM, triangles
     attempts = [collapse_edges(source, reduction)] if reduction else []
-    for attempt in (*attempts, remove_slivers(source, _SLIVERS_MM)):
+    for attempt in (*attempts, remove_slivers(source, _DEFAULT_SLIVERS_MM)):
         if (
             len(attempt[1]) < len(triangles)
             and hausdorff_distance(source, attempt, MAX_DEVIATION_MM, _SAMPLES) <= MAX_DEVIATION_MM
@@ -64,10 +64,10 @@ def collapse_edges(source: Surface, reduction: Reduction) -> Surface:
     vertices, triangles = fast_simplification.simplify(
         vertices, triangles, target_count=reduction.faces, agg=_AGGRESSIVENESS
     )
-    return vertices, _without_slits(vertices, triangles.astype(np.int32))
+    return vertices, _without_zero_area(vertices, triangles.astype(np.int32))
 
 
-def _without_slits(vertices: Array, triangles: Faces) -> Faces:
+def _without_zero_area(vertices: Array, triangles: Faces) -> Faces:
     """Omit triangles whose area is zero at the precision of an STL file (float32)."""
     a, b, c = np.moveaxis(vertices.astype(np.float32).astype(np.float64)[triangles], 1, 0)
     return triangles[np.cross(b - a, c - a).any(axis=1)]
@@ -88,7 +88,7 @@ def remove_slivers(source: Surface, tolerance: float) -> Surface:
 
 
 # Is called with the numbers of finished files and of all files.
-FilesDone = Callable[[int, int], None]
+FileProgress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def find_reduced(store: AssetStore, assets: AssetSet) -> ReducedSet | None:
 
 
 def make_reduced(
-    store: AssetStore, assets: AssetSet, source: Path, notice: str, progress: FilesDone = lambda done, total: None
+    store: AssetStore, assets: AssetSet, source: Path, notice: str, progress: FileProgress = lambda done, total: None
 ) -> ReducedSet:
     """Return a set's reduced meshes. If they are missing, create and publish them with a license `notice`.
 
@@ -141,7 +141,7 @@ def make_reduced(
 
 
 def _reduce_all(
-    assets: AssetSet, source: Path, progress: FilesDone
+    assets: AssetSet, source: Path, progress: FileProgress
 ) -> tuple[dict[str, bytes], dict[str, dict[str, Any]]]:
     files, report = {}, {}
     for number, (name, locked) in enumerate(assets.files.items(), start=1):

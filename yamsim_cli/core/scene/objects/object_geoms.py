@@ -30,9 +30,9 @@ from ..assets.asset_store import is_user_set
 # Asset set -> folder of its files, or the files themselves (name -> content); None if the set is not available.
 MeshFiles = Mapping[str, Path | Mapping[str, bytes] | None]
 
-SEEN_GROUP = 2  # of visible geoms
+VISIBLE_GROUP = 2  # of visible geoms
 HIDDEN_GROUP = 3  # of collision geoms with a visual mesh
-_SDF_LEVELS = 6  # octree depth of a signed distance field
+_SDF_OCTREE_DEPTH = 6  # octree depth of a signed distance field
 _SOLMIX = 20.0  # weight of a geom with its own solref in contacts; other geoms have 1
 
 
@@ -72,7 +72,7 @@ def add_visual_mesh(
         type=mujoco.mjtGeom.mjGEOM_MESH,
         meshname=added.name,
         material=material,
-        group=SEEN_GROUP,
+        group=VISIBLE_GROUP,
         contype=0,
         conaffinity=0,
         mass=0,
@@ -114,13 +114,13 @@ def add_collision(
     mesh = spec.add_mesh(name=name, file=file, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
     kind = mujoco.mjtGeom.mjGEOM_MESH
     if isinstance(part, SdfPart):
-        kind, mesh.octree_maxdepth = mujoco.mjtGeom.mjGEOM_SDF, _SDF_LEVELS
+        kind, mesh.octree_maxdepth = mujoco.mjtGeom.mjGEOM_SDF, _SDF_OCTREE_DEPTH
     body.add_geom(
         name=name,
         type=kind,
         meshname=name,
         mass=0,
-        group=HIDDEN_GROUP if hidden else SEEN_GROUP,
+        group=HIDDEN_GROUP if hidden else VISIBLE_GROUP,
         material=material,
         **contact_attributes(contact),
     )
@@ -139,7 +139,7 @@ def add_primitive(
     body: Any, name: str, part: Primitive, contact: Contact | None, material: str, *, hidden: bool
 ) -> None:
     """Add a primitive geom to a body (a ring as several boxes); without `contact`, the geom is only visual."""
-    common: dict[str, Any] = {"mass": 0, "group": HIDDEN_GROUP if hidden else SEEN_GROUP}
+    common: dict[str, Any] = {"mass": 0, "group": HIDDEN_GROUP if hidden else VISIBLE_GROUP}
     common |= {"rgba": part.rgba} if part.rgba else {"material": material}
     if contact is None:
         common |= {"contype": 0, "conaffinity": 0}
@@ -173,7 +173,7 @@ def add_visual_ring(spec: mujoco.MjSpec, body: Any, name: str, ring: Ring, mater
         name=name,
         type=mujoco.mjtGeom.mjGEOM_MESH,
         meshname=name,
-        group=SEEN_GROUP,
+        group=VISIBLE_GROUP,
         contype=0,
         conaffinity=0,
         mass=0,

@@ -13,7 +13,7 @@ from .object_geoms import HIDDEN_GROUP
 
 _DETENT_RADIUS = 0.05  # m, of a hinge's detent; any radius gives the same torque
 _MAX_LENGTH = 10.0  # m, upper spring length; longer than any detent's spring becomes, so that the spring never pulls
-_DETENT_STEPS = 400  # joint positions at which a detent's force is computed
+_DETENT_TABLE_SIZE = 400  # joint positions at which a detent's force is computed
 _THREAD_SOLREF = (0.004, 1.0)  # the stiffest one that a time step of 2 ms allows
 _FRICTION_SOLIMP = (0.99, 0.999, 0.001, 0.5, 2.0)  # with the default, joints creep by mm a second
 
@@ -94,7 +94,7 @@ def _add_detent(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link: Li
     T = link.T_in_parent @ joint_transform(joint, at)
     body.add_site(name=f"{name}_part", pos=on_part, group=HIDDEN_GROUP)
     parent.add_site(name=f"{name}_parent", pos=(T @ [*(on_part + offset), 1.0])[:3], group=HIDDEN_GROUP)
-    path = np.linspace(0, half, _DETENT_STEPS)
+    path = np.linspace(0, half, _DETENT_TABLE_SIZE)
     chord = 2 * _DETENT_RADIUS * np.sin(path / 2) if joint.is_revolute else path
     length, rest = np.hypot(foot, chord), math.hypot(foot, foot)
     push = (rest - length) * np.gradient(length, path)

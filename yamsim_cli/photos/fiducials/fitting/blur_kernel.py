@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 Grey = NDArray[np.float32]
 
 _POINTS_PER_PX, _MIN_POINTS = 4, 9  # sample points per px of a motion, and their minimum
-_BLUR_STEP = 0.03  # step of the numeric derivative, as a share of the blur
+_BLUR_DIFFERENCE_STEP = 0.03  # step of the numeric derivative, as a share of the blur
 # Two pixels on each side: with one, derivatives of a sharp picture would be a third too small.
 _DERIVATIVE_KERNEL = np.array([1, -8, 0, 8, -1], np.float32) / 12
 _IDENTITY_KERNEL = np.ones(1, np.float32)
@@ -39,7 +39,7 @@ class BlurKernel:
         """Radius (px) that contains most of a blurred point."""
         return 1.2 * math.sqrt(self.blur**2 + self.motion_length**2 / 12)
 
-    def in_larger_pixels(self, coarser: int) -> BlurKernel:
+    def scaled_to_reduced_picture(self, coarser: int) -> BlurKernel:
         """Convert to pixels of a picture reduced by the factor `coarser`."""
         return BlurKernel(self.blur / coarser, (self.motion[0] / coarser, self.motion[1] / coarser))
 
@@ -62,7 +62,7 @@ class BlurKernel:
 
     def blur_derivative(self, picture: Grey, blurred: Grey) -> Grey:
         """Return the derivative (rows, columns[, channels]) of `blurred` by the blur sigma."""
-        more = _BLUR_STEP * self.blur
+        more = _BLUR_DIFFERENCE_STEP * self.blur
         by_blur: Grey = (BlurKernel(self.blur + more, self.motion).blur_picture(picture) - blurred) / np.float32(more)
         return by_blur
 

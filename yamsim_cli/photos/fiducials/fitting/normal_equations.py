@@ -15,7 +15,7 @@ from yamsim_cli.core.geometry.least_squares import LeastSquares, solve_least_squ
 from yamsim_cli.core.geometry.se3 import Array
 
 from .blur_kernel import BlurKernel, picture_gradients
-from .print_view import PhotoRegion, RenderedPrint, draw_print
+from .print_view import PhotoRegion, RenderedPrint, render_print
 
 _MIN_TILE_PIXELS = 12  # below, a tile (a marker and half its gap) is not compared
 _MIN_SURROUNDINGS_POWER = 1e-4  # sum of a tile's squared pixel shares outside the print; smaller sums are ignored
@@ -50,15 +50,15 @@ class PixelDerivatives:
     """Compared pixels and derivatives of the print's brightness there.
 
     Attributes:
-        at: on the board (n, 2), m.
+        board_points: on the board (n, 2), m.
         rays: viewing rays (n, 2).
-        by_ray, by_shift: (n, 2) by a print shift in ray units, and in px.
+        brightness_by_ray, brightness_by_shift: (n, 2) by a print shift in ray units, and in px.
     """
 
-    at: Array
+    board_points: Array
     rays: Array
-    by_ray: Array
-    by_shift: Array
+    brightness_by_ray: Array
+    brightness_by_shift: Array
 
 
 def linearize_print(
@@ -73,31 +73,41 @@ def linearize_print(
         blur: in the photo's pixels.
         columns: returns the print's derivatives (n, k) by the parameters that move it.
     """
-    blur = blur.in_larger_pixels(view.reduction_factor)
-    drawing = draw_print(view, plane, blur)
+    blur = blur.scaled_to_reduced_picture(view.reduction_factor)
+    drawing = render_print(view, plane, blur)
     tile = _pixel_tiles(view, drawing)
     use = tile >= 0
     if use.sum() < 3 * _MIN_TILE_PIXELS:
         return None
     seen, drawn = view.photo.ravel()[use], drawing.grey.ravel()[use]
     beside = np.zeros((len(seen), 0), np.float32)
-    slopes, by_blur, by_motion = _picture_derivatives(drawing.sharp, drawing.grey, blur, use)
-    if drawing.beside is not None and drawing.outside is not None:
-        beside = drawing.beside.reshape(-1, 2)[use]
+    slopes, by_blur, by_motion = _picture_derivatives(drawing.unblurred, drawing.grey, blur, use)
+    if drawing.blurred_outside_share is not None and drawing.outside_share is not None:
+        beside = drawing.blurred_outside_share.reshape(-1, 2)[use]
         # The blur also mixes in the surroundings, which move with the print.
         for side, strength in enumerate(_surroundings_brightness(seen, drawn, beside, tile[use]).T):
-            outside, smeared = (np.ascontiguousarray(every[..., side]) for every in (drawing.outside, drawing.beside))
+            outside, smeared = (
+                np.ascontiguousarray(every[..., side])
+                for every in (drawing.outside_share, drawing.blurred_outside_share)
+            )
             more = _picture_derivatives(outside, smeared, blur, use)
             slopes, by_blur, by_motion = (
                 of_print + strength.reshape(-1, *[1] * (of_print.ndim - 1)) * of_side
                 for of_print, of_side in zip((slopes, by_blur, by_motion), more, strict=True)
             )
-    by_ray = (-slopes[:, None, :] @ view.px_per_ray[use])[:, 0]
-    pixels = PixelDerivatives(drawing.at[use], view.centre_rays[use], by_ray, -slopes / view.reduction_factor)
-    by_all = np.column_stack(
-        [by_blur / view.reduction_factor, by_motion / view.reduction_factor, columns(pixels), pixels.by_shift]
+    brightness_by_ray = (-slopes[:, None, :] @ view.px_per_ray[use])[:, 0]
+    pixels = PixelDerivatives(
+        drawing.board_points[use], view.centre_rays[use], brightness_by_ray, -slopes / view.reduction_factor
     )
-    return _project_out_light(seen, drawn, beside, by_all, tile[use])
+    by_all = np.column_stack(
+        [
+            by_blur / view.reduction_factor,
+            by_motion / view.reduction_factor,
+            columns(pixels),
+            pixels.brightness_by_shift,
+        ]
+    )
+    return _eliminate_tile_brightness(seen, drawn, beside, by_all, tile[use])
 
 
 def _picture_derivatives(
@@ -143,7 +153,7 @@ def _pixel_tiles(view: PhotoRegion, drawing: RenderedPrint) -> NDArray[np.int_]:
     return marker
 
 
-def _project_out_light(
+def _eliminate_tile_brightness(
     photo: NDArray[np.float32],
     drawn: NDArray[np.float32],
     outside_shares: NDArray[np.float32],
@@ -158,33 +168,33 @@ def _project_out_light(
     order = np.argsort(tile, kind="stable")
     numbers, starts, which = np.unique(tile[order], return_index=True, return_inverse=True)
 
-    def of_tiles(values: Array) -> Array:
+    def sum_per_tile(values: Array) -> Array:
         return np.add.reduceat(values, starts, axis=0)
 
     # Subtract tile means and surroundings from photo, rendering and derivatives.
     every = np.column_stack([outside_shares, photo, drawn, columns])[order].astype(np.float64)
-    every -= (of_tiles(every) / of_tiles(np.ones(len(every)))[:, None])[which]
+    every -= (sum_per_tile(every) / sum_per_tile(np.ones(len(every)))[:, None])[which]
     sides = outside_shares.shape[1]
     for side in range(sides):
         outside_share = every[:, side].copy()
-        power = of_tiles(outside_share**2)
-        share = of_tiles(every * outside_share[:, None]) / np.maximum(power, _MIN_SURROUNDINGS_POWER)[:, None]
+        power = sum_per_tile(outside_share**2)
+        share = sum_per_tile(every * outside_share[:, None]) / np.maximum(power, _MIN_SURROUNDINGS_POWER)[:, None]
         share[power < _MIN_SURROUNDINGS_POWER] = 0.0
         every -= outside_share[:, None] * share[which]
     every = every[:, sides:]
     seen, shape, slopes = every[:, 0], every[:, 1], every[:, 2:]
-    along = of_tiles(every * shape[:, None])
+    along = sum_per_tile(every * shape[:, None])
     power = along[:, 1] + 1e-9
     contrast = along[:, 0] / power
     slopes = contrast[which, None] * (slopes - shape[:, None] * (along[:, 2:] / power[:, None])[which])
     residual = seen - contrast[which] * shape
     (x, y), rest = slopes[:, -2:].T, residual
-    xx, xy, yy, xr, yr = of_tiles(np.column_stack([x * x, x * y, y * y, x * rest, y * rest])).T
+    xx, xy, yy, xr, yr = sum_per_tile(np.column_stack([x * x, x * y, y * y, x * rest, y * rest])).T
     xx, yy = xx + 1e-6, yy + 1e-6
     shifts = np.column_stack([yy * xr - xy * yr, xx * yr - xy * xr]) / (xx * yy - xy**2)[:, None]
-    correlation = contrast * np.sqrt(power / (of_tiles(seen**2) + 1e-9))
+    correlation = contrast * np.sqrt(power / (sum_per_tile(seen**2) + 1e-9))
     shifted = shifts[:, 0] * xr + shifts[:, 1] * yr
-    unexplained = (of_tiles(residual**2) - shifted) / of_tiles(np.ones(len(residual)))
+    unexplained = (sum_per_tile(residual**2) - shifted) / sum_per_tile(np.ones(len(residual)))
     tiles = {
         int(number): MarkerTile(float(alike), (float(right), float(down)), float(left))
         for number, alike, (right, down), left in zip(numbers, correlation, shifts, unexplained, strict=True)
@@ -206,7 +216,7 @@ class NormalEquations:
         weight: sum of the weights.
         noise: sigma of the residuals, grey levels, assumed for the weights or estimated.
         tiles: marker -> tile, for each board.
-        free: indices of the fitted parameters.
+        free_parameters: indices of the fitted parameters.
     """
 
     full_normal: Array
@@ -216,17 +226,17 @@ class NormalEquations:
     pixels: int
     noise: float
     tiles: tuple[dict[int, MarkerTile], ...]
-    free: tuple[int, ...]
+    free_parameters: tuple[int, ...]
 
     @property
     def normal_matrix(self) -> Array:
         """The matrix (f, f) over the fitted parameters."""
-        return self.full_normal[np.ix_(self.free, self.free)]
+        return self.full_normal[np.ix_(self.free_parameters, self.free_parameters)]
 
     @property
     def gradient(self) -> Array:
         """The right-hand side (f,) over the fitted parameters."""
-        return self.full_gradient[list(self.free)]
+        return self.full_gradient[list(self.free_parameters)]
 
     @property
     def cost(self) -> float:

@@ -25,14 +25,14 @@ from .normal_equations import (
     combine_equations,
     linearize_print,
 )
-from .print_shape import CREASED_SHARE, marginalize_modes, mode_count, placement_modes, shape_modes
-from .print_view import PhotoRegion, PrintPiece, print_plane, view_print
+from .print_shape import CREASE_PROBABILITY, marginalize_modes, mode_count, placement_modes, shape_modes
+from .print_view import PhotoRegion, PrintedBoard, crop_photo_to_print, print_plane
 
 Grey = NDArray[np.float32]
 
 BLUR_RANGE = (0.25, 5.0)  # px of a `PhotoRegion`, sigmas: less blur is invisible, more hides a marker
 _MAX_MOTION = 20.0  # px of a `PhotoRegion`
-USUAL_BLUR = BlurKernel(0.9)  # px, at the start of a fit
+INITIAL_BLUR = BlurKernel(0.9)  # px, at the start of a fit
 
 # Factor on the noise's sigma where the print's shape is marginalized. At 1.3, the 95 % intervals hold at least 95 % of
 # the poses in six sets of 40 to 120; 1.4 is safer. Source: `python -m tools.bench.print_shape` with seeds below 200,
@@ -50,8 +50,8 @@ class Alignment:
         T_ref_in_cam: pose (4, 4) of the frame `ref` of the boards' known poses.
         covariance: (6, 6) of a rotation about `centre` (rad) and its shift (m) along the camera's axes, from noise;
             `marginalize_shape` adds the print's shape.
-        by_lens: (6, k) pose derivatives by the lens parameters of `CameraModel.intrinsics_cholesky`.
-        by_print: (6,) pose derivative by the print's log scale; 0 if `covariance` includes a fitted scale.
+        derivatives_by_lens: (6, k) pose derivatives by the lens parameters of `CameraModel.intrinsics_cholesky`.
+        derivatives_by_print_scale: (6,) by the print's log scale; 0 if `covariance` includes a fitted scale.
         centre: mean (3,) of the boards' centres in `ref`, m.
         blur: px of the photo.
         noise: standard deviation of the residuals, grey levels.
@@ -63,8 +63,8 @@ class Alignment:
 
     T_ref_in_cam: Array
     covariance: Array
-    by_lens: Array
-    by_print: Array
+    derivatives_by_lens: Array
+    derivatives_by_print_scale: Array
     centre: Array
     blur: BlurKernel
     noise: float
@@ -87,9 +87,9 @@ class LogScalePrior:
 def align_pose(
     photo: Grey,
     camera: CameraModel,
-    pieces: Sequence[PrintPiece],
+    pieces: Sequence[PrintedBoard],
     T_ref_in_cam: Array,
-    blur: BlurKernel = USUAL_BLUR,
+    blur: BlurKernel = INITIAL_BLUR,
     log_scale_prior: LogScalePrior | None = None,
     coarse: bool = False,
 ) -> Alignment | None:
@@ -109,7 +109,12 @@ def align_pose(
 
 
 def measure_agreement(
-    photo: Grey, camera: CameraModel, pieces: Sequence[PrintPiece], T_ref_in_cam: Array, blur: BlurKernel, noise: float
+    photo: Grey,
+    camera: CameraModel,
+    pieces: Sequence[PrintedBoard],
+    T_ref_in_cam: Array,
+    blur: BlurKernel,
+    noise: float,
 ) -> Alignment | None:
     """Compare print and photo at a fixed pose (4, 4). `noise` (sigma, grey levels) weights residuals."""
     fit, state = _make_pose_problem(photo, camera, pieces, T_ref_in_cam, moving=False), _PoseState(T_ref_in_cam, blur)
@@ -122,10 +127,10 @@ def measure_agreement(
 def marginalize_shape(
     photo: Grey,
     camera: CameraModel,
-    pieces: Sequence[PrintPiece],
+    pieces: Sequence[PrintedBoard],
     found: Alignment,
     log_scale_prior: LogScalePrior | None = None,
-    creased: float = CREASED_SHARE,
+    creased: float = CREASE_PROBABILITY,
 ) -> Alignment:
     """Marginalize the print's bow, twist and crease: returns a new pose and a wider covariance.
 
@@ -142,13 +147,17 @@ def marginalize_shape(
 def _make_pose_problem(
     photo: Grey,
     camera: CameraModel,
-    pieces: Sequence[PrintPiece],
+    pieces: Sequence[PrintedBoard],
     T: Array,
     moving: bool,
     log_scale_prior: LogScalePrior | None = None,
     roughly: bool = False,
 ) -> _PoseProblem | None:
-    views = [view for piece in pieces if (view := view_print(photo, camera, piece, print_plane(piece, T))) is not None]
+    views = [
+        view
+        for piece in pieces
+        if (view := crop_photo_to_print(photo, camera, piece, print_plane(piece, T))) is not None
+    ]
     if not views or len(views) < len(pieces):
         return None
     centre: Array = np.mean([piece.T_board_in_ref[:3, 3] for piece in pieces], axis=0)
@@ -166,7 +175,7 @@ class _PoseState:
 _BLUR, _MOTION, _POSE, _LOG_SCALE, _LENS = 0, slice(1, 3), slice(3, 9), 9, slice(10, None)
 
 
-_Columns = Callable[[PixelDerivatives, PrintPiece, Array, float], Array]
+_JacobianFunction = Callable[[PixelDerivatives, PrintedBoard, Array, float], Array]
 
 
 class _PoseProblem(PrintProblem[_PoseState]):
@@ -194,7 +203,7 @@ class _PoseProblem(PrintProblem[_PoseState]):
         return self._equations_by_columns(state, noise, self._pose_columns)
 
     def _equations_by_columns(
-        self, state: _PoseState, noise: float | None, columns: _Columns
+        self, state: _PoseState, noise: float | None, columns: _JacobianFunction
     ) -> NormalEquations | None:
         larger = math.exp(state.log_scale)
         system = combine_equations(
@@ -219,32 +228,35 @@ class _PoseProblem(PrintProblem[_PoseState]):
         misfit = system.misfit + strength * missing**2
         return replace(system, full_normal=normal, full_gradient=gradient, misfit=misfit)
 
-    def _pose_columns(self, pixels: PixelDerivatives, piece: PrintPiece, T: Array, larger: float) -> Array:
+    def _pose_columns(self, pixels: PixelDerivatives, piece: PrintedBoard, T: Array, larger: float) -> Array:
         """Return print derivatives (n, 7 + k) by rotation, shift, log scale, and k lens parameters."""
-        R, T_board, at = T[:3, :3], piece.T_board_in_ref, larger * pixels.at
+        R, T_board, at = T[:3, :3], piece.T_board_in_ref, larger * pixels.board_points
         on_board = at @ (R @ T_board[:3, :2]).T
         from_centre = on_board + R @ (T_board[:3, 3] - self._centre)
         point = from_centre + R @ self._centre + T[:3, 3]
         depth = point[:, 2]
-        by_ray = pixels.by_ray
+        by_ray = pixels.brightness_by_ray
         by_shift = np.column_stack([by_ray, -(by_ray * point[:, :2]).sum(axis=1) / depth]) / depth[:, None]
         along = (by_ray * pixels.rays).sum(axis=1)
         # A longer focal length mostly changes the distance; `alignment_at` adds that part.
         by_focal = along + by_shift[:, 2] * self._centre_depth(T)
-        by_lens = [by_focal]
+        derivatives_by_lens = [by_focal]
         if self._camera.intrinsics_covariance:
-            by_lens += [*(pixels.by_shift * self._camera.mean_focal_length).T, along * (pixels.rays**2).sum(axis=1)]
+            derivatives_by_lens += [
+                *(pixels.brightness_by_shift * self._camera.mean_focal_length).T,
+                along * (pixels.rays**2).sum(axis=1),
+            ]
         by_size = (by_shift * on_board).sum(axis=1)
         (x, y, z), (a, b, c) = from_centre.T, by_shift.T
         # Several times faster than numpy's cross product.
         turns = (y * c - z * b, z * a - x * c, x * b - y * a)
-        return np.column_stack([*turns, by_shift, by_size, *by_lens])
+        return np.column_stack([*turns, by_shift, by_size, *derivatives_by_lens])
 
-    def _shape_columns(self, pixels: PixelDerivatives, piece: PrintPiece, T: Array, larger: float) -> Array:
+    def _shape_columns(self, pixels: PixelDerivatives, piece: PrintedBoard, T: Array, larger: float) -> Array:
         columns = self._pose_columns(pixels, piece, T, larger)
         along_x, along_y, by_height = (columns[:, 3:6] @ T[:3, :3] @ piece.T_board_in_ref[:3, :3]).T[:, :, None]
-        by_x, by_y = placement_modes(piece.board, pixels.at)
-        own = [by_height * shape_modes(piece.board, pixels.at), along_x * by_x + along_y * by_y]
+        by_x, by_y = placement_modes(piece.board, pixels.board_points)
+        own = [by_height * shape_modes(piece.board, pixels.board_points), along_x * by_x + along_y * by_y]
         others = {view.piece.board: np.zeros((len(columns), mode_count(view.piece.board))) for view in self._views}
         of_pieces = [np.column_stack(own) if view.piece is piece else others[view.piece.board] for view in self._views]
         return np.column_stack([columns, *of_pieces])
@@ -253,7 +265,7 @@ class _PoseProblem(PrintProblem[_PoseState]):
         system = self._equations_by_columns(state, found.noise, self._shape_columns)
         if system is None:
             return found
-        free, boards = list(system.free), [view.piece.board for view in self._views]
+        free, boards = list(system.free_parameters), [view.piece.board for view in self._views]
         known = len(system.full_gradient) - sum(mode_count(board) for board in boards)
         held = [k for k in range(known) if k not in free]
         variance = (SIGMA_INFLATION * found.noise) ** 2
@@ -262,18 +274,20 @@ class _PoseProblem(PrintProblem[_PoseState]):
         except np.linalg.LinAlgError:
             return found
         turns = [free.index(k) for k in range(_POSE.start, _POSE.stop)]
-        by_lens = pose_of.moves[turns][:, [n for n, k in enumerate(held) if k >= _LENS.start]]
-        by_lens[5, 0] += self._centre_depth(state.T)
-        # A fold moves the print by the distance from the crease.
+        derivatives_by_lens = pose_of.by_fixed_parameters[turns][:, [n for n, k in enumerate(held) if k >= _LENS.start]]
+        derivatives_by_lens[5, 0] += self._centre_depth(state.T)
+        # The angle error of a fold moves the print in proportion to the distance from the crease, here the farthest.
         lever = max(max(view.piece.board.width, view.piece.board.height) for view in self._views) / 2
-        neglected = pose_of.neglected * np.diag([1.0] * 3 + [lever**2] * 3)
+        neglected = pose_of.neglected_variance * np.diag([1.0] * 3 + [lever**2] * 3)
         scale_index = held.index(_LOG_SCALE) if _LOG_SCALE in held else None
         return replace(
             found,
             T_ref_in_cam=self.apply_step(state, pose_of.step).T,
             covariance=pose_of.covariance[np.ix_(turns, turns)] + neglected,
-            by_lens=by_lens,
-            by_print=found.by_print if scale_index is None else pose_of.moves[turns, scale_index],
+            derivatives_by_lens=derivatives_by_lens,
+            derivatives_by_print_scale=found.derivatives_by_print_scale
+            if scale_index is None
+            else pose_of.by_fixed_parameters[turns, scale_index],
             flat_probability=pose_of.flat_probability,
         )
 
@@ -306,7 +320,7 @@ class _PoseProblem(PrintProblem[_PoseState]):
         ) + _PX_PER_LOG_SCALE * abs(float(every[_LOG_SCALE]))
 
     def alignment_at(self, state: _PoseState, system: NormalEquations) -> Alignment | None:
-        normal, free = system.normal_matrix, list(system.free)
+        normal, free = system.normal_matrix, list(system.free_parameters)
         held = [k for k in range(len(system.full_gradient)) if k not in free]
         moves = np.zeros((len(free), len(system.full_gradient)))
         try:
@@ -317,12 +331,12 @@ class _PoseProblem(PrintProblem[_PoseState]):
         if not np.isfinite(covariance).all():
             return None
         turns = [free.index(k) for k in range(_POSE.start, _POSE.stop)]
-        by_lens = moves[turns, _LENS]
-        by_lens[5, 0] += self._centre_depth(state.T)
+        derivatives_by_lens = moves[turns, _LENS]
+        derivatives_by_lens[5, 0] += self._centre_depth(state.T)
         return Alignment(
             state.T,
             covariance[np.ix_(turns, turns)],
-            by_lens,
+            derivatives_by_lens,
             moves[turns, _LOG_SCALE],
             self._centre,
             state.blur,

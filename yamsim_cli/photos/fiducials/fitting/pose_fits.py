@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from yamsim_cli.camera_effects.lens_distortion import project_points, viewing_rays
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, pose, rotation_vector
 
-from ...lens_distortion import project_points, viewing_rays
 from ..markers import MarkerGroup
 from .normal_equations import MarkerTile
 from .pose_alignment import Alignment, align_pose, measure_agreement
@@ -27,10 +27,10 @@ EXPLAINED_CORRELATION = 0.96  # median correlation; above, a fit needs no other 
 _OUTLIER_RATIO = 5.0  # residual variance over the median; above, a marker may be an outlier
 _OUTLIER_CORRELATION = 0.9  # correlation; above, a marker is no outlier
 _MAX_ROUNDS = 3  # several, because one outlier displaces the pose and hides others
-_MIN_EVIDENCE = 12.0  # difference of log-likelihoods that excludes a competing pose
+_MIN_LOG_LIKELIHOOD_RATIO = 12.0  # difference of log-likelihoods that excludes a competing pose
 _PIXELS_PER_SAMPLE = 4.0  # neighbouring pixels that count as one sample
 _SAME_POSE_ANGLE = math.radians(4.0)  # rad; at smaller angles, poses are the same
-_DECIDING_SHARE = 0.25  # share of the angle between two poses; a prediction nearer to one selects it
+_MAX_PREDICTION_ANGLE_SHARE = 0.25  # share of the angle between two poses; a prediction nearer to one selects it
 _MAX_COMPETING_RATIO = 4.0  # ratio of mean squared residuals before the fit; above, a competing fit cannot win
 
 
@@ -48,7 +48,7 @@ class PoseFit:
         return self.alignment.T_ref_in_cam
 
     @property
-    def explains_well(self) -> bool:
+    def agrees_with_photo(self) -> bool:
         """Whether print and photo agree well at most agreeing markers."""
         return float(np.median([tile.correlation for tile in self.alignment.tiles[0].values()])) > EXPLAINED_CORRELATION
 
@@ -191,7 +191,7 @@ def find_competing_fit(
 
 
 def _other_boards_agree(fit: PoseFit, competing: PoseFit, predicted_poses: Sequence[Array]) -> bool:
-    near = _DECIDING_SHARE * angle_between(fit.T_board_in_cam, competing.T_board_in_cam)
+    near = _MAX_PREDICTION_ANGLE_SHARE * angle_between(fit.T_board_in_cam, competing.T_board_in_cam)
     return (
         bool(predicted_poses)
         and fit.mean_square < competing.mean_square
@@ -202,7 +202,7 @@ def _other_boards_agree(fit: PoseFit, competing: PoseFit, predicted_poses: Seque
 def is_clearly_better(fit: PoseFit, competing: PoseFit) -> bool:
     """Return whether the photo's likelihood under `fit` excludes `competing`."""
     evidence = 0.5 * fit.alignment.pixels / _PIXELS_PER_SAMPLE * math.log(competing.mean_square / fit.mean_square)
-    return evidence >= _MIN_EVIDENCE
+    return evidence >= _MIN_LOG_LIKELIHOOD_RATIO
 
 
 def angle_between(T_a: Array, T_b: Array) -> float:

@@ -18,11 +18,11 @@ from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.se3 import Array
 
 _BOW_MODES = 3  # bow along x, bow along y, twist
-_PLATE_SAG = 1e-4  # m, sigma of bow or twist at the edge, for paper glued to a rigid plate
-_BENT_SAG = 1e-3  # m, the same for a bent plate or loose paper
+_FLAT_PLATE_SIGMA = 1e-4  # m, sigma of bow or twist at the edge, for paper glued to a rigid plate
+_BENT_PLATE_SIGMA = 1e-3  # m, the same for a bent plate or loose paper
 _FOLD_SIGMA = math.radians(4.0)  # rad, sigma of a crease's fold angle; users notice larger folds
 _BENT_PROBABILITY = 0.02  # prior of a bent print
-CREASED_SHARE = 0.08  # prior of a creased print
+CREASE_PROBABILITY = 0.08  # prior of a creased print
 # With this value, poses from 180 photos of creased prints are within their 95 % intervals.
 _NONLINEAR_FOLD_SHARE = 0.15  # sigma of the linear crease modes' error, as a share of the fold angle
 _CREASE_DIRECTIONS = 8  # directions of the folded side over 360 degrees; either side of a crease may lie on the plate
@@ -40,15 +40,15 @@ class ShapedPose:
     Attributes:
         step: (p,) from the flat print's parameters to the expected ones.
         covariance: (p, p).
-        moves: (p, h) derivatives of the fitted parameters by those kept fixed.
-        neglected: variance of the rotation, rad^2 per axis, that linear crease modes neglect.
+        by_fixed_parameters: (p, h) derivatives of the fitted parameters by those kept fixed.
+        neglected_variance: variance of the rotation, rad^2 per axis, that linear crease modes neglect.
         flat: probability of a print on a rigid plate.
     """
 
     step: Array
     covariance: Array
-    moves: Array
-    neglected: float
+    by_fixed_parameters: Array
+    neglected_variance: float
     flat_probability: float
 
 
@@ -95,7 +95,7 @@ def _shape_hypotheses(
     creases = [first + k for first in firsts for k in range(_BOW_MODES, _HEIGHT_MODES)]
     places = [first + k for first, modes in zip(firsts, counts, strict=True) for k in range(_HEIGHT_MODES, modes)]
     always, placement = [*places, *bows], [_PLACEMENT_SIGMA] * len(places)
-    flat, bent = ([*placement, *[sag] * len(bows)] for sag in (_PLATE_SAG, _BENT_SAG))
+    flat, bent = ([*placement, *[sag] * len(bows)] for sag in (_FLAT_PLATE_SIGMA, _BENT_PLATE_SIGMA))
     folded = [([*always, crease], [*flat, _FOLD_SIGMA], creased / len(creases)) for crease in creases]
     return [(always, flat, 1 - _BENT_PROBABILITY - creased), (always, bent, _BENT_PROBABILITY), *folded]
 

@@ -10,25 +10,25 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from yamsim_cli.camera_effects.lens_distortion import project_points, viewing_ray_grid
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.board_image import board_image, marker_cells
 
-from ...lens_distortion import project_points, viewing_ray_grid
 from .blur_kernel import BlurKernel
 
 Grey = NDArray[np.float32]
 
-_SUBSAMPLES = 3  # sample points per pixel along each axis
+_SUBSAMPLES_PER_PIXEL = 3  # sample points per pixel along each axis
 _TARGET_PX_PER_CELL = 2.7  # minimum in a reduced photo; finer pictures only cost time
 _MIN_SURROUNDINGS_RADIUS = 0.9  # px, blur radius from which a print's surroundings affect compared pixels
-_MARGIN_PX = 3  # px around the board, by which a fit can move the print
+_CROP_MARGIN_PX = 3  # px around the board, by which a fit can move the print
 _MIN_VIEW_PX = 8  # px, side of a `PhotoRegion`
 
 
 @dataclass(frozen=True)
-class PrintPiece:
+class PrintedBoard:
     """A board with known pose (4, 4) in a frame `ref`, whose pose a fit estimates.
 
     `markers` are indices into `board.ids` of the markers to compare.
@@ -39,9 +39,9 @@ class PrintPiece:
     markers: tuple[int, ...]
 
 
-def whole_board_piece(board: Board, markers: Sequence[int] | None = None) -> PrintPiece:
+def whole_board_piece(board: Board, markers: Sequence[int] | None = None) -> PrintedBoard:
     """Return a board as its own frame `ref`, with the given markers or all."""
-    return PrintPiece(board, np.eye(4), tuple(range(len(board.marker_ids)) if markers is None else markers))
+    return PrintedBoard(board, np.eye(4), tuple(range(len(board.marker_ids)) if markers is None else markers))
 
 
 @dataclass(frozen=True)
@@ -53,10 +53,10 @@ class PhotoRegion:
         centre_rays: viewing rays (n, 2) of the pixels, row by row.
         px_per_ray: derivative (n, 2, 2) of pixels by rays.
         pattern: the print, 0 black to 1 white, of scale `px_per_metre`.
-        field: rays (rows, columns, 2) of the sample points, `_SUBSAMPLES` squared per pixel.
+        field: rays (rows, columns, 2) of the sample points, `_SUBSAMPLES_PER_PIXEL` squared per pixel.
     """
 
-    piece: PrintPiece
+    piece: PrintedBoard
     photo: Grey
     reduction_factor: int
     centre_rays: Array
@@ -71,30 +71,30 @@ class RenderedPrint:
     """The print as the camera sees it.
 
     Attributes:
-        sharp: (rows, columns) without blur, 0 black to 1 white. Unknown surroundings are black, as the border.
-        grey: `sharp` with blur.
-        outside: share (rows, columns, 2) of each pixel left or right of the print, and above or below; None with little
-            blur.
-        beside: `outside` with blur.
-        at: (n, 2) on the board, m.
+        unblurred: (rows, columns) without blur, 0 black to 1 white. Unknown surroundings are black, as the border.
+        grey: `unblurred` with blur.
+        outside_share: share (rows, columns, 2) of each pixel left or right of the print, and above or below; None with
+            little blur.
+        blurred_outside_share: `outside_share` with blur.
+        board_points: (n, 2) on the board, m.
         marker: marker index (n,) at each pixel, with half the gap around it; -1 for none.
     """
 
-    sharp: Grey
+    unblurred: Grey
     grey: Grey
-    outside: Grey | None
-    beside: Grey | None
-    at: Array
+    outside_share: Grey | None
+    blurred_outside_share: Grey | None
+    board_points: Array
     marker: NDArray[np.int_]
 
 
-def print_plane(piece: PrintPiece, T_ref_in_cam: Array, larger: float = 1.0) -> Array:
+def print_plane(piece: PrintedBoard, T_ref_in_cam: Array, larger: float = 1.0) -> Array:
     """Return the matrix (3, 3) from (x, y, 1), m, on a print `larger` times its nominal size to the camera frame."""
     plane: Array = (T_ref_in_cam @ piece.T_board_in_ref)[:3, [0, 1, 3]] * (larger, larger, 1.0)
     return plane
 
 
-def view_print(photo: Grey, camera: CameraModel, piece: PrintPiece, plane: Array) -> PhotoRegion | None:
+def crop_photo_to_print(photo: Grey, camera: CameraModel, piece: PrintedBoard, plane: Array) -> PhotoRegion | None:
     """Return the part of a photo (height, width) with the board; None if behind the camera or below 8 px.
 
     Args:
@@ -107,8 +107,8 @@ def view_print(photo: Grey, camera: CameraModel, piece: PrintPiece, plane: Array
     if in_cam[:, 2].min() <= 1e-3 * plane[2, 2]:
         return None
     pixels = project_points(camera, in_cam)
-    low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - _MARGIN_PX, 0)
-    high = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + _MARGIN_PX + 1, [camera.width, camera.height])
+    low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - _CROP_MARGIN_PX, 0)
+    high = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + _CROP_MARGIN_PX + 1, [camera.width, camera.height])
     if (high - low < _MIN_VIEW_PX).any():
         return None
     crop = photo[low[1] : high[1], low[0] : high[0]]
@@ -120,14 +120,28 @@ def view_print(photo: Grey, camera: CameraModel, piece: PrintPiece, plane: Array
         size = (columns // coarser, rows // coarser)
         crop = np.asarray(cv2.resize(crop[:rows, :columns], size, interpolation=cv2.INTER_AREA), dtype=np.float32)
     rows, columns = crop.shape
-    x = low[0] + (np.arange(columns * _SUBSAMPLES) - (_SUBSAMPLES - 1) / 2) / _SUBSAMPLES * coarser + (coarser - 1) / 2
-    y = low[1] + (np.arange(rows * _SUBSAMPLES) - (_SUBSAMPLES - 1) / 2) / _SUBSAMPLES * coarser + (coarser - 1) / 2
+    x = (
+        low[0]
+        + (np.arange(columns * _SUBSAMPLES_PER_PIXEL) - (_SUBSAMPLES_PER_PIXEL - 1) / 2)
+        / _SUBSAMPLES_PER_PIXEL
+        * coarser
+        + (coarser - 1) / 2
+    )
+    y = (
+        low[1]
+        + (np.arange(rows * _SUBSAMPLES_PER_PIXEL) - (_SUBSAMPLES_PER_PIXEL - 1) / 2) / _SUBSAMPLES_PER_PIXEL * coarser
+        + (coarser - 1) / 2
+    )
     field = viewing_ray_grid(camera, x, y)
-    pattern, pattern_px_per_metre = _board_pattern(board, px_per_metre / coarser * cell * _SUBSAMPLES)
-    middle = slice(_SUBSAMPLES // 2, None, _SUBSAMPLES)
-    span = (_SUBSAMPLES - 1) / _SUBSAMPLES
-    by_x = (field[middle, _SUBSAMPLES - 1 :: _SUBSAMPLES] - field[middle, ::_SUBSAMPLES]) / span
-    by_y = (field[_SUBSAMPLES - 1 :: _SUBSAMPLES, middle] - field[::_SUBSAMPLES, middle]) / span
+    pattern, pattern_px_per_metre = _board_pattern(board, px_per_metre / coarser * cell * _SUBSAMPLES_PER_PIXEL)
+    middle = slice(_SUBSAMPLES_PER_PIXEL // 2, None, _SUBSAMPLES_PER_PIXEL)
+    span = (_SUBSAMPLES_PER_PIXEL - 1) / _SUBSAMPLES_PER_PIXEL
+    by_x = (
+        field[middle, _SUBSAMPLES_PER_PIXEL - 1 :: _SUBSAMPLES_PER_PIXEL] - field[middle, ::_SUBSAMPLES_PER_PIXEL]
+    ) / span
+    by_y = (
+        field[_SUBSAMPLES_PER_PIXEL - 1 :: _SUBSAMPLES_PER_PIXEL, middle] - field[::_SUBSAMPLES_PER_PIXEL, middle]
+    ) / span
     ray_per_px = np.stack([by_x, by_y], axis=-1).reshape(-1, 2, 2).astype(np.float64)
     return PhotoRegion(
         piece,
@@ -181,8 +195,8 @@ def _reduced_pattern(board: Board, coarser: int) -> Grey:
     return np.asarray(cv2.resize(padded, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-def draw_print(view: PhotoRegion, plane: Array, blur: BlurKernel) -> RenderedPrint:
-    """Render a print with blur (px of the view) from `plane`, as in `view_print`."""
+def render_print(view: PhotoRegion, plane: Array, blur: BlurKernel) -> RenderedPrint:
+    """Render a print with blur (px of the view) from `plane`, as in `crop_photo_to_print`."""
     onto_board: Array = np.linalg.inv(plane).astype(np.float64)
     board = view.piece.board
     x, y = fine_board_points(view, onto_board)
@@ -206,7 +220,7 @@ def draw_print(view: PhotoRegion, plane: Array, blur: BlurKernel) -> RenderedPri
         outside, beside = every[..., 1:], blurred[..., 1:]
     homogeneous = np.column_stack([view.centre_rays, np.ones(len(view.centre_rays))]) @ onto_board.T
     at = homogeneous[:, :2] / homogeneous[:, 2:]
-    return RenderedPrint(sharp, grey, outside, beside, at, _marker_at(view, at, blur))
+    return RenderedPrint(sharp, grey, outside, beside, at, _marker_of_pixels(view, at, blur))
 
 
 def fine_board_points(view: PhotoRegion, onto_board: Array) -> tuple[Grey, Grey]:
@@ -224,7 +238,7 @@ def fine_board_points(view: PhotoRegion, onto_board: Array) -> tuple[Grey, Grey]
     return x, y
 
 
-def _marker_at(view: PhotoRegion, at: Array, blur: BlurKernel) -> NDArray[np.int_]:
+def _marker_of_pixels(view: PhotoRegion, at: Array, blur: BlurKernel) -> NDArray[np.int_]:
     """Return the marker index (n,) at each pixel; -1 within a blur radius of anything else, such as a hand."""
     board = view.piece.board
     step = board.marker_length + board.gap

@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from yamsim_cli.camera_effects.lens_distortion import viewing_rays
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array
 
-from ...lens_distortion import viewing_rays
 from ..fitting.blur_kernel import BlurKernel
 from ..fitting.normal_equations import (
     NormalEquations,
@@ -30,7 +30,7 @@ from ..fitting.normal_equations import (
 )
 from ..fitting.pose_alignment import BLUR_RANGE
 from ..fitting.pose_fits import SAME_PRINT_CORRELATION
-from ..fitting.print_view import PhotoRegion, PrintPiece, view_print
+from ..fitting.print_view import PhotoRegion, PrintedBoard, crop_photo_to_print
 from ..markers import MarkerGroup
 
 # px, sigma of a point without noise: the rendering has few sample points per pixel. Source: 350 outlines of random
@@ -38,8 +38,8 @@ from ..markers import MarkerGroup
 _MIN_SIGMA_PX = 0.003
 # Sigmas over those from noise alone: the print's shape and placement are not marginalized. Source: `python -m
 # tools.bench.intervals`.
-_INFLATION = 2.0
-_USUAL_BLUR = 0.9  # px, sigma at the start of a fit
+_COVARIANCE_INFLATION = 2.0
+_INITIAL_BLUR = 0.9  # px, sigma at the start of a fit
 _FITTED_PARAMETERS = (0, *range(3, 11))  # blur and homography, but not motion
 
 
@@ -48,14 +48,14 @@ class BoardOutline:
     """Four points that show a board's position in a photo.
 
     Attributes:
-        on_board: (4, 2), m.
+        points_on_board: (4, 2), m.
         points: the same points (4, 2), px.
         covariance: (8, 8) of `points`, x and y alternating, px^2.
         markers: indices into `board.ids` of markers whose print agrees.
     """
 
     board: Board
-    on_board: Array
+    points_on_board: Array
     points: Array
     covariance: Array
     markers: tuple[int, ...]
@@ -98,11 +98,11 @@ def _fit_homography(
     photo: NDArray[np.float32], camera: CameraModel, board: Board, places: Sequence[int], plane: Array
 ) -> tuple[_PlaneProblem, _MapState, NormalEquations] | None:
     plane = plane / plane[2, 2]
-    view = view_print(photo, camera, PrintPiece(board, np.eye(4), tuple(places)), plane)
+    view = crop_photo_to_print(photo, camera, PrintedBoard(board, np.eye(4), tuple(places)), plane)
     if view is None:
         return None
     fit = _PlaneProblem(view, camera.mean_focal_length)
-    found = fit.solve(_MapState(plane, _USUAL_BLUR))
+    found = fit.solve(_MapState(plane, _INITIAL_BLUR))
     return None if found is None else (fit, *found)
 
 
@@ -117,11 +117,13 @@ class _PlaneProblem(PrintProblem[_MapState]):
         self._on_board = half * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])
 
     def equations_at(self, state: _MapState, noise: float | None) -> NormalEquations | None:
-        def columns(pixels: PixelDerivatives) -> Array:
-            return self._derivatives_by_map(state, pixels.at, pixels.rays, pixels.by_ray)
+        def jacobian_columns(pixels: PixelDerivatives) -> Array:
+            return self._derivatives_by_map(state, pixels.board_points, pixels.rays, pixels.brightness_by_ray)
 
         return combine_equations(
-            [linearize_print(self._view, state.plane, BlurKernel(state.blur), columns)], noise, _FITTED_PARAMETERS
+            [linearize_print(self._view, state.plane, BlurKernel(state.blur), jacobian_columns)],
+            noise,
+            _FITTED_PARAMETERS,
         )
 
     def _derivatives_by_map(self, state: _MapState, at: Array, seen: Array, by_ray: Array) -> Array:
@@ -164,5 +166,7 @@ class _PlaneProblem(PrintProblem[_MapState]):
             return None
         by = self._derivatives_by_points(state)
         points = self._corner_rays(state) * camera.mean_focal_length + (camera.K[0][2], camera.K[1][2])
-        noise = by @ covariance @ by.T * _INFLATION**2 + (_MIN_SIGMA_PX * self._view.reduction_factor) ** 2 * np.eye(8)
+        noise = by @ covariance @ by.T * _COVARIANCE_INFLATION**2 + (
+            _MIN_SIGMA_PX * self._view.reduction_factor
+        ) ** 2 * np.eye(8)
         return BoardOutline(self._view.piece.board, self._on_board, points, noise, markers)

@@ -22,7 +22,7 @@ _MAX_STEPS = 30
 _MIN_GAIN = 1e-3  # gain of chi squared, relative to 1 + chi squared; below, a fit ends
 _GRID_POINTS = 5  # along each edge of a board, at which distortion is evaluated
 _MIN_AREA = 1e-6  # area of a board's picture (longer side squared); below, the view is edge-on
-_MAX_BEND = 3.0  # longer sides, shift by k1 = 1; above, rounding errors dominate
+_MAX_DISTORTION_SHIFT = 3.0  # longer sides, shift by k1 = 1; above, rounding errors dominate
 _MAX_ROTATION = 0.5  # rad, per step
 
 
@@ -37,11 +37,11 @@ def fit_board_poses(outline: BoardOutline, size: tuple[int, int], spread: Array)
     longer = max(size)
     seen = (outline.points - (np.array(size) - 1) / 2) / longer
     whiten = np.linalg.inv(np.linalg.cholesky(outline.covariance / longer**2))
-    on_board = outline.on_board / outline.board.width
+    on_board = outline.points_on_board / outline.board.width
     return [BoardPoses(on_board, seen, whiten, spread, first) for first in _planar_pose_pairs(on_board, seen, spread)]
 
 
-def _planar_pose_pairs(on_board: Array, seen: Array, spread: Array) -> list[FocalPoses]:
+def _planar_pose_pairs(on_board: Array, seen: Array, spread: Array) -> list[PosesPerFocalLength]:
     points = np.column_stack([on_board, np.zeros(4)])
     turns, shifts = np.empty((2, len(spread), 3, 3)), np.empty((2, len(spread), 3))
     for k, value in enumerate(spread):
@@ -53,7 +53,7 @@ def _planar_pose_pairs(on_board: Array, seen: Array, spread: Array) -> list[Foca
             turns[pose, k] = cv2.Rodrigues(vectors[which])[0]
             shifts[pose, k] = places[which].ravel()
     sizes = 1 / (shifts[..., 2] * spread)
-    return [FocalPoses(turns[k], shifts[k, :, :2] * sizes[k, :, None], sizes[k]) for k in (0, 1)]
+    return [PosesPerFocalLength(turns[k], shifts[k, :, :2] * sizes[k, :, None], sizes[k]) for k in (0, 1)]
 
 
 def _homography_jacobian(points: Array) -> Array:
@@ -76,21 +76,21 @@ def _invert_2x2(matrices: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class FocalPoses:
+class PosesPerFocalLength:
     """A board's pose at each of n focal lengths.
 
-    `centres` (n, 2) and widths `sizes` (n,) are in the picture's longer sides; `rotations` are (n, 3, 3).
+    `centres` (n, 2) and `widths` (n,) are in the picture's longer sides; `rotations` are (n, 3, 3).
     """
 
     rotations: Array
     centres: Array
-    sizes: Array
+    widths: Array
 
 
 R = TypeVar("R", bound="DataclassInstance")
 
 
-def select_rows(take: NDArray[np.bool_], one: R, other: R) -> R:
+def merge_rows(take: NDArray[np.bool_], one: R, other: R) -> R:
     """Return a dataclass of arrays with rows of `one` where `take` (n,), else of `other`."""
     arrays = zip(vars(one).items(), vars(other).values(), strict=True)
     return replace(one, **{name: np.where(take.reshape(-1, *[1] * (a.ndim - 1)), a, b) for (name, a), b in arrays})
@@ -103,7 +103,7 @@ class BoardPoses:
     the picture's longer side over the focal length: an infinite focal length is regular.
     """
 
-    def __init__(self, on_board: Array, seen: Array, whiten: Array, spread: Array, first: FocalPoses) -> None:
+    def __init__(self, on_board: Array, seen: Array, whiten: Array, spread: Array, first: PosesPerFocalLength) -> None:
         self._on_board, self._seen, self._whiten, self._spread = on_board, seen, whiten, spread
         self.initial_poses = first
         line = np.linspace(-0.5, 0.5, _GRID_POINTS)
@@ -111,7 +111,7 @@ class BoardPoses:
         self._grid = board * np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
         self._flatten = _homography_jacobian(on_board) @ np.linalg.pinv(_homography_jacobian(self._grid))
 
-    def refine_poses(self, poses: FocalPoses, lens: Array) -> FocalPoses:
+    def refine_poses(self, poses: PosesPerFocalLength, lens: Array) -> PosesPerFocalLength:
         """Return the best poses nearby for a lens (n, 3): principal point shift and k1."""
         _, _, by_lens = self.linearized_residuals(poses, lens)
         # Distortion shifts hardly change during the fit.
@@ -120,14 +120,14 @@ class BoardPoses:
         assert found is not None
         return found[0]
 
-    def _distortion_shifts(self, poses: FocalPoses, at: Array, w: Array) -> Array:
+    def _distortion_shifts(self, poses: PosesPerFocalLength, at: Array, w: Array) -> Array:
         """Return shifts (n, 4, 2) of the outline points by distortion with k1 = 1.
 
         The outline is the homography nearest to the distorted board, so only that part of the distortion on a grid
         counts.
         """
         spread = self._spread[:, None]
-        on_grid = self._grid @ np.swapaxes(poses.rotations[:, :, :2], 1, 2) * poses.sizes[:, None, None]
+        on_grid = self._grid @ np.swapaxes(poses.rotations[:, :, :2], 1, 2) * poses.widths[:, None, None]
         w_grid = np.maximum(1 + spread * on_grid[..., 2], 1e-3)
         grid = (poses.centres[:, None, :] + on_grid[..., :2]) / w_grid[..., None]
         moved = grid * ((grid**2).sum(axis=-1) * spread**2)[..., None]
@@ -135,17 +135,17 @@ class BoardPoses:
         flat = (on_board.reshape(len(spread), -1) @ self._flatten.T).reshape(len(spread), 4, 2)
         moved_points = (self._rays_by_board_point(poses, at, w) @ flat[..., None])[..., 0]
         # Edge-on, rounding errors dominate.
-        possible = np.abs(moved_points).max(axis=(1, 2)) < _MAX_BEND
+        possible = np.abs(moved_points).max(axis=(1, 2)) < _MAX_DISTORTION_SHIFT
         return np.where(possible[:, None, None], moved_points, 0.0)
 
-    def _rays_by_board_point(self, poses: FocalPoses, at: Array, w: Array) -> Array:
-        axes = poses.rotations[:, None, :, :2] * poses.sizes[:, None, None, None]
+    def _rays_by_board_point(self, poses: PosesPerFocalLength, at: Array, w: Array) -> Array:
+        axes = poses.rotations[:, None, :, :2] * poses.widths[:, None, None, None]
         by_depth = at[..., :, None] * (self._spread[:, None, None] * axes[:, :, 2])[:, :, None, :]
         by: Array = (axes[:, :, :2] - by_depth) / w[..., None, None]
         return by
 
     def linearized_residuals(
-        self, poses: FocalPoses, lens: Array, bend: Array | None = None
+        self, poses: PosesPerFocalLength, lens: Array, bend: Array | None = None
     ) -> tuple[Array, Array, Array]:
         """Return whitened residuals (n, 8) and derivatives by pose (n, 8, 6) and lens (n, 8, 3).
 
@@ -153,7 +153,7 @@ class BoardPoses:
             lens: principal point shift (right, down; picture's longer sides) and k1 (n, 3).
             bend: shifts (n, 4, 2) by distortion with k1 = 1; None to compute them.
         """
-        turned = self._on_board @ np.swapaxes(poses.rotations[:, :, :2], 1, 2) * poses.sizes[:, None, None]
+        turned = self._on_board @ np.swapaxes(poses.rotations[:, :, :2], 1, 2) * poses.widths[:, None, None]
         x, y, z = (turned[..., k] for k in range(3))
         spread = self._spread[:, None]
         w = np.maximum(1 + spread * z, 1e-3)
@@ -197,15 +197,15 @@ class _LinearizedPoses:
         return gradient
 
 
-class _BoardPosesProblem(LeastSquares[FocalPoses, _LinearizedPoses]):
+class _BoardPosesProblem(LeastSquares[PosesPerFocalLength, _LinearizedPoses]):
     def __init__(self, board: BoardPoses, lens: Array, bend: Array) -> None:
         self._board, self._lens, self._bend = board, lens, bend
 
-    def linearize(self, state: FocalPoses, before: _LinearizedPoses | None) -> _LinearizedPoses:
+    def linearize(self, state: PosesPerFocalLength, before: _LinearizedPoses | None) -> _LinearizedPoses:
         residual, by_pose, _ = self._board.linearized_residuals(state, self._lens, self._bend)
         return _LinearizedPoses(residual, by_pose)
 
-    def apply_step(self, state: FocalPoses, step: Array) -> FocalPoses:
+    def apply_step(self, state: PosesPerFocalLength, step: Array) -> PosesPerFocalLength:
         angle = np.linalg.norm(step[:, :3], axis=1)
         axis = step[:, :3] / np.maximum(angle, 1e-12)[:, None]
         angle = np.minimum(angle, _MAX_ROTATION)
@@ -213,19 +213,19 @@ class _BoardPosesProblem(LeastSquares[FocalPoses, _LinearizedPoses]):
         cross[:, [2, 0, 1], [1, 2, 0]] = axis
         cross[:, [1, 2, 0], [2, 0, 1]] = -axis
         sine, cosine = np.sin(angle)[:, None, None], 1 - np.cos(angle)[:, None, None]
-        return FocalPoses(
+        return PosesPerFocalLength(
             (np.eye(3) + sine * cross + cosine * cross @ cross) @ state.rotations,
             state.centres + np.clip(step[:, 3:5], -1, 1),
-            state.sizes * np.exp(np.clip(step[:, 5], -1, 1)),
+            state.widths * np.exp(np.clip(step[:, 5], -1, 1)),
         )
 
-    def is_converged(self, state: FocalPoses, known: _LinearizedPoses, step: Array, gain: Array) -> bool:
+    def is_converged(self, state: PosesPerFocalLength, known: _LinearizedPoses, step: Array, gain: Array) -> bool:
         return bool((gain < _MIN_GAIN * (1 + known.cost)).all())
 
     def select_better(
         self,
         better: NDArray[np.bool_],
-        there: tuple[FocalPoses, _LinearizedPoses],
-        here: tuple[FocalPoses, _LinearizedPoses],
-    ) -> tuple[FocalPoses, _LinearizedPoses]:
-        return select_rows(better, there[0], here[0]), select_rows(better, there[1], here[1])
+        there: tuple[PosesPerFocalLength, _LinearizedPoses],
+        here: tuple[PosesPerFocalLength, _LinearizedPoses],
+    ) -> tuple[PosesPerFocalLength, _LinearizedPoses]:
+        return merge_rows(better, there[0], here[0]), merge_rows(better, there[1], here[1])

@@ -28,7 +28,7 @@ from .marker_bits import marker_bits
 
 Grey = NDArray[np.uint8]
 
-_WHOLE_PRINT_SCALES = ((1, 3), (2, 3), (2, 7))  # reduction, and width of light lines to close, reduced px
+_WHOLE_PRINT_SEARCH_SCALES = ((1, 3), (2, 3), (2, 7))  # reduction, and width of light lines to close, reduced px
 _MARKER_SCALES = ((1, 0),)  # the same for single markers: no change
 _MAX_PHOTO_SIDE = 960  # px, longer side of the searched photo
 _DARK_THRESHOLDS = np.linspace(0.12, 0.84, 9)  # share of the grey range, below which a pixel is dark
@@ -36,7 +36,7 @@ _RANGE_PERCENTILES = (0.5, 99.5)  # percentiles that define a photo's range of g
 # Difference within 3 px at an edge, share of the grey range; width of gaps between edges to close, px.
 _EDGE_THRESHOLDS = ((0.14, 3), (0.18, 3), (0.22, 3), (0.27, 3), (0.34, 3), (0.42, 5))
 _MIN_THICKNESS = 5  # px, of a patch full of edges; a single edge is thinner
-_MIN_AREA = 30  # px^2
+_MIN_PATCH_AREA_PX = 30  # px^2
 _MIN_CONTOUR = 20  # px
 _MAX_PATCH_SHARE = 0.8  # ratio of a patch's sides to the photo's
 _MIN_HULL_SHARE = 0.78  # ratio of a patch's area to its convex hull's
@@ -53,7 +53,7 @@ _MIN_AGREEMENT = 2.5  # standard deviations of random bits
 # Step, px, and agreement after it, standard deviations of random bits. Source: photos from a physically based renderer:
 # without a board, patches reached 4.3 at the end, and boards 7.
 _REFINEMENT_STEPS = ((3.0, 3.5), (1.5, 4.5), (0.75, 5.0))
-_MAX_REFINED = 4
+_MAX_REFINED_PATCHES = 4
 _MIN_REFINED_AGREEMENT = 1.5  # standard deviations of random bits, to refine a patch
 _ROUNDS_PER_STEP = 3
 
@@ -67,7 +67,7 @@ def dark_quads(grey: Grey, whole: bool) -> list[Array]:
     grey, factor = _limit_resolution(_MAX_PHOTO_SIDE, grey)
     low, high = np.percentile(grey[::4, ::4], _RANGE_PERCENTILES)
     found: list[Array] = []
-    for smaller, close in _WHOLE_PRINT_SCALES if whole else _MARKER_SCALES:
+    for smaller, close in _WHOLE_PRINT_SEARCH_SCALES if whole else _MARKER_SCALES:
         reduced = grey
         if smaller > 1:
             reduced = np.asarray(
@@ -117,7 +117,7 @@ def _enclosed_quads(dark: NDArray[np.bool_]) -> Iterator[Array]:
             continue
         hull = cv2.convexHull(contour)
         area = cv2.contourArea(hull)
-        if len(hull) < 4 or area < _MIN_AREA or cv2.contourArea(contour) < _MIN_HULL_SHARE * area:
+        if len(hull) < 4 or area < _MIN_PATCH_AREA_PX or cv2.contourArea(contour) < _MIN_HULL_SHARE * area:
             continue
         quad = np.asarray(cv2.approxPolyN(hull, 4), dtype=np.float32).reshape(-1, 2)
         if len(quad) == 4 and cv2.contourArea(quad) < _MAX_QUAD_RATIO * area:
@@ -136,7 +136,7 @@ def _distinct_quads(quads: list[Array]) -> list[Array]:
     return kept
 
 
-Grid = dict[tuple[int, int], int]  # (column, row) of a marker -> index of its patch
+MarkerGrid = dict[tuple[int, int], int]  # (column, row) of a marker -> index of its patch
 
 
 def board_quads(markers: Sequence[Array], board: Board) -> list[Array]:
@@ -160,7 +160,7 @@ def board_quads(markers: Sequence[Array], board: Board) -> list[Array]:
     return found
 
 
-def _grow_grid(seed: int, quads: Array, areas: Array, step: float) -> Grid:
+def _grow_grid(seed: int, quads: Array, areas: Array, step: float) -> MarkerGrid:
     middles = quads.mean(axis=1)
     grid, ends, used = {(0, 0): seed}, [(0, 0)], {seed}
     right = (quads[seed, 1] - quads[seed, 0] + quads[seed, 2] - quads[seed, 3]) / 2 * step
@@ -184,7 +184,7 @@ def _grow_grid(seed: int, quads: Array, areas: Array, step: float) -> Grid:
     return grid
 
 
-def _board_corners(grid: Grid, quads: Array, board: Board) -> Iterator[Array]:
+def _board_corners(grid: MarkerGrid, quads: Array, board: Board) -> Iterator[Array]:
     places = np.array(list(grid))
     low, high = places.min(axis=0), places.max(axis=0)
     size = high - low + 1
@@ -249,7 +249,7 @@ def oriented_candidates(
 
 def refine_candidates(grey: Grey, board: Board, quads: Sequence[Array]) -> list[BoardCandidate]:
     """Return patches with corners moved to the best agreement, best first."""
-    rough = oriented_candidates(grey, board, quads, _MIN_REFINED_AGREEMENT)[:_MAX_REFINED]
+    rough = oriented_candidates(grey, board, quads, _MIN_REFINED_AGREEMENT)[:_MAX_REFINED_PATCHES]
     found = [moved for candidate in rough if (moved := _refine_quad(grey, board, candidate)) is not None]
     return sorted(found, key=lambda one: -one.agreement)
 
@@ -259,7 +259,7 @@ def _refine_quad(grey: Grey, board: Board, candidate: BoardCandidate) -> BoardCa
     for step, least in _REFINEMENT_STEPS:
         for _ in range(_ROUNDS_PER_STEP):
             before = candidate.agreement
-            for move in step * _corner_moves():
+            for move in step * _corner_trial_shifts():
                 corners = candidate.corners + move
                 if (agreement := _bit_agreement(grey, board, corners)) > candidate.agreement:
                     candidate = BoardCandidate(corners, agreement)
@@ -271,7 +271,7 @@ def _refine_quad(grey: Grey, board: Board, candidate: BoardCandidate) -> BoardCa
 
 
 @functools.lru_cache(maxsize=1)
-def _corner_moves() -> Array:
+def _corner_trial_shifts() -> Array:
     moves = []
     for corner in range(4):
         for along in np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]):

@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from yamsim_cli.camera_effects.lens_distortion import project_points, viewing_rays
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array
 
-from ...lens_distortion import project_points, viewing_rays
 from ..board_detection import (
     BoardDetection,
     BoardStatus,
@@ -30,9 +30,16 @@ from ..board_detection import (
     suggest_photo_improvements,
 )
 from ..fitting.blur_kernel import BlurKernel
-from ..fitting.pose_alignment import USUAL_BLUR, Alignment, align_pose
+from ..fitting.pose_alignment import INITIAL_BLUR, Alignment, align_pose
 from ..fitting.pose_fits import EXPLAINED_CORRELATION, PoseFit, faces_camera, planar_poses
-from ..fitting.print_view import PhotoRegion, PrintPiece, draw_print, print_plane, view_print, whole_board_piece
+from ..fitting.print_view import (
+    PhotoRegion,
+    PrintedBoard,
+    crop_photo_to_print,
+    print_plane,
+    render_print,
+    whole_board_piece,
+)
 from .board_candidates import (
     BoardCandidate,
     board_quads,
@@ -41,7 +48,7 @@ from .board_candidates import (
     oriented_candidates,
     refine_candidates,
 )
-from .marker_bits import BitEvidence, measure_evidence
+from .marker_bits import BitEvidence, measure_bit_agreement
 
 Grey = NDArray[np.uint8]
 
@@ -49,15 +56,15 @@ FALSE_ALARM_RATE = 1e-4  # accepted rate of photos without the board
 # Tried positions and orientations. Source: `make bench-fiducials`: 20 to 60 patches in four orientations, about 250
 # moves of each refined patch.
 _TRIALS_PER_BOARD = 1200
-_TRIALS_PER_FIT = 30  # poses of one fit that count as independent trials
+_TRIALS_PER_FIT = 30  # a fit tries many poses; they count as this number of independent trials
 _MAX_BOARD_LOG_CHANCE = -8.0  # log probability of the bits by chance; below, advice assumes the board
 _MAX_RETRIED_LOG_CHANCE = -3.0  # the same; below, a fit with low correlation is repeated
-_SAME_MOTION = 3.0  # px, difference in length of equal motion blurs
+_SAME_MOTION_BLUR_PX = 3.0  # px; motion blurs whose lengths differ by less count as equal
 _MAX_FITS = 2  # fitted candidates per search method
 _MIN_RELATIVE_AGREEMENT = 0.6  # ratio to the best candidate's agreement; below, a candidate is not fitted
 _SEARCH_RADIUS = 0.5  # board sizes in the picture, around a predicted position
 _SUFFICIENT_CORRELATION = 0.85  # median, of print and photo; above, no other pose is fitted
-_MIN_SEPARATION = 0.5  # patch sizes, distance between different prints
+_MIN_PRINT_DISTANCE = 0.5  # patch sizes, distance between different prints
 
 # Start kernels of a fit.
 _BLUR_SIGMAS = (0.9, 2.0, 3.5)  # px
@@ -83,11 +90,11 @@ class BoardRedetector:
         self._likeliest: tuple[float, Alignment] | None = None
 
     @cached_property
-    def _dark_prints(self) -> list[Array]:
+    def _dark_patches_of_prints(self) -> list[Array]:
         return dark_quads(self._grey, whole=True)
 
     @cached_property
-    def _dark_markers(self) -> list[Array]:
+    def _dark_patches_of_markers(self) -> list[Array]:
         return dark_quads(self._grey, whole=False)
 
     @cached_property
@@ -111,7 +118,7 @@ class BoardRedetector:
         board, fits = seen.board, list[PoseFit]()
         self._likeliest = None
         for T in (*before, *predicted_poses):
-            if (T_moved := self._shift_to_match(board, T)) is not None:
+            if (T_moved := self._shift_to_best_match(board, T)) is not None:
                 fits += self._fit_poses(board, [T_moved])
         if anywhere:
             for found in self._candidate_batches(board):
@@ -123,14 +130,14 @@ class BoardRedetector:
             return replace(seen, advice=self._photo_advice(board)) if anywhere else seen
         best = min(fits, key=lambda fit: fit.mean_square)
         size = board.width * self._camera.mean_focal_length / best.T_board_in_cam[2, 3]
-        if any(self._distance_px(fit, best) > _MIN_SEPARATION * size for fit in fits):
+        if any(self._distance_px(fit, best) > _MIN_PRINT_DISTANCE * size for fit in fits):
             reason = "the board is in the photo twice: hide or remove the other print"
             return BoardDetection(board, seen.markers, BoardStatus.AMBIGUOUS, reason, is_duplicated=True)
         return judge_detection(self._photo, self._camera, board, best, fits, predicted_poses, self._limits)
 
     def _candidate_batches(self, board: Board) -> Iterator[list[BoardCandidate]]:
-        yield oriented_candidates(self._grey, board, self._dark_prints)
-        yield oriented_candidates(self._grey, board, board_quads(self._dark_markers, board))
+        yield oriented_candidates(self._grey, board, self._dark_patches_of_prints)
+        yield oriented_candidates(self._grey, board, board_quads(self._dark_patches_of_markers, board))
         yield refine_candidates(self._grey, board, self._edge_patches)
 
     def _photo_advice(self, board: Board) -> tuple[str, ...]:
@@ -161,17 +168,17 @@ class BoardRedetector:
     def _fit_by_bits(self, board: Board, T: Array) -> PoseFit | None:
         whole = whole_board_piece(board)
         found = self._align_with_blur(whole, T)
-        if found is not None and not _is_explained(found[0]) and found[1].log_chance < _MAX_RETRIED_LOG_CHANCE:
+        if found is not None and not _is_explained(found[0]) and found[1].log_chance_bound < _MAX_RETRIED_LOG_CHANCE:
             again = self._align_with_blur(whole, found[0].T_ref_in_cam, found[0].blur)
-            if again is not None and again[1].log_chance < found[1].log_chance:
+            if again is not None and again[1].log_chance_bound < found[1].log_chance_bound:
                 found = again
         if found is None:
             return None
         first, bits = found
-        if self._likeliest is None or bits.log_chance < self._likeliest[0]:
-            self._likeliest = bits.log_chance, first
+        if self._likeliest is None or bits.log_chance_bound < self._likeliest[0]:
+            self._likeliest = bits.log_chance_bound, first
         # Bonferroni: the accepted rate is divided by the photo's trials.
-        if bits.log_chance > math.log(FALSE_ALARM_RATE / (self._boards * _TRIALS_PER_BOARD * _TRIALS_PER_FIT)):
+        if bits.log_chance_bound > math.log(FALSE_ALARM_RATE / (self._boards * _TRIALS_PER_BOARD * _TRIALS_PER_FIT)):
             return None
         if len(bits.markers) < len(first.tiles[0]):
             fewer = align_pose(
@@ -182,25 +189,27 @@ class BoardRedetector:
             first = fewer
         return PoseFit(first, bits.markers, len(bits.agreement) - len(bits.markers))
 
-    def _view_piece(self, piece: PrintPiece, T: Array) -> tuple[PhotoRegion | None, Array]:
+    def _view_piece(self, piece: PrintedBoard, T: Array) -> tuple[PhotoRegion | None, Array]:
         plane = print_plane(piece, T)
-        return view_print(self._photo, self._camera, piece, plane), plane
+        return crop_photo_to_print(self._photo, self._camera, piece, plane), plane
 
     def _align_with_blur(
-        self, piece: PrintPiece, T: Array, tried: BlurKernel | None = None
+        self, piece: PrintedBoard, T: Array, tried: BlurKernel | None = None
     ) -> tuple[Alignment, BitEvidence] | None:
         """Align a piece with an estimated blur; None if that resembles the earlier blur `tried`."""
         view, plane = self._view_piece(piece, T)
         kernel = None if view is None else estimate_blur(view, plane)
-        if kernel is None or (tried is not None and abs(kernel.motion_length - tried.motion_length) < _SAME_MOTION):
+        if kernel is None or (
+            tried is not None and abs(kernel.motion_length - tried.motion_length) < _SAME_MOTION_BLUR_PX
+        ):
             return None
         fit = align_pose(self._photo, self._camera, [piece], T, kernel)
         if fit is None or not faces_camera(fit.T_ref_in_cam):
             return None
         view, plane = self._view_piece(piece, fit.T_ref_in_cam)
-        return None if view is None else (fit, measure_evidence(view, plane, fit.blur, fit.noise))
+        return None if view is None else (fit, measure_bit_agreement(view, plane, fit.blur, fit.noise))
 
-    def _shift_to_match(self, board: Board, T: Array) -> Array | None:
+    def _shift_to_best_match(self, board: Board, T: Array) -> Array | None:
         """Shift a pose along the image plane to the best match; None if the board faces away."""
         if not faces_camera(T):
             return None
@@ -214,7 +223,7 @@ class BoardRedetector:
         view, plane = self._view_piece(whole_board_piece(board), T)
         if view is None or (high - low < 2 * half).any() or view.reduction_factor > 1:
             return T
-        drawing = draw_print(view, plane, USUAL_BLUR)
+        drawing = render_print(view, plane, INITIAL_BLUR)
         seen = self._photo[low[1] : high[1], low[0] : high[0]]
         shape = drawing.grey.shape
         if shape[0] > seen.shape[0] or shape[1] > seen.shape[1]:
@@ -237,7 +246,7 @@ def _best_candidates(found: Sequence[BoardCandidate]) -> Iterator[BoardCandidate
         if one.agreement < _MIN_RELATIVE_AGREEMENT * found[0].agreement or len(taken) == _MAX_FITS:
             return
         size = float(np.abs(np.ptp(one.corners, axis=0)).max())
-        if all(np.abs(one.corners - other.corners).max() > _MIN_SEPARATION * size for other in taken):
+        if all(np.abs(one.corners - other.corners).max() > _MIN_PRINT_DISTANCE * size for other in taken):
             taken.append(one)
             yield one
 
@@ -250,9 +259,9 @@ def estimate_blur(view: PhotoRegion, plane: Array) -> BlurKernel | None:
     """Return the blur or motion (px) that explains the photo best; None with too few pixels.
 
     Args:
-        plane: (3, 3) from the board to the camera frame, as for `draw_print`.
+        plane: (3, 3) from the board to the camera frame, as for `render_print`.
     """
-    drawing = draw_print(view, plane, _COMPARISON_BLUR.in_larger_pixels(view.reduction_factor))
+    drawing = render_print(view, plane, _COMPARISON_BLUR.scaled_to_reduced_picture(view.reduction_factor))
     use = drawing.marker >= 0
     if use.sum() < 2 * len(view.piece.markers):
         return None
@@ -261,8 +270,8 @@ def estimate_blur(view: PhotoRegion, plane: Array) -> BlurKernel | None:
     place = np.flatnonzero(use)[order]
     seen = _subtract_marker_means(view.photo.ravel()[place], starts, which)
 
-    def unexplained_power(blur: BlurKernel) -> float:
-        drawn = blur.in_larger_pixels(view.reduction_factor).blur_picture(drawing.sharp).ravel()[place]
+    def residual_power(blur: BlurKernel) -> float:
+        drawn = blur.scaled_to_reduced_picture(view.reduction_factor).blur_picture(drawing.unblurred).ravel()[place]
         shape = _subtract_marker_means(drawn, starts, which)
         power = np.add.reduceat(shape**2, starts) + 1e-9
         contrast = np.maximum(np.add.reduceat(shape * seen, starts) / power, 0.0)
@@ -270,9 +279,9 @@ def estimate_blur(view: PhotoRegion, plane: Array) -> BlurKernel | None:
 
     angles = np.arange(_MOTION_DIRECTIONS) * math.pi / _MOTION_DIRECTIONS
     vectors = [(length * math.cos(angle), length * math.sin(angle)) for length in _MOTION_LENGTHS for angle in angles]
-    blurs = {kernel: unexplained_power(kernel) for kernel in map(BlurKernel, _BLUR_SIGMAS)}
+    blurs = {kernel: residual_power(kernel) for kernel in map(BlurKernel, _BLUR_SIGMAS)}
     motions = {
-        kernel: unexplained_power(kernel) for kernel in (BlurKernel(_MOVING_BLUR_SIGMA, vector) for vector in vectors)
+        kernel: residual_power(kernel) for kernel in (BlurKernel(_MOVING_BLUR_SIGMA, vector) for vector in vectors)
     }
     blurred, moved = min(blurs, key=lambda one: blurs[one]), min(motions, key=lambda one: motions[one])
     return moved if motions[moved] < _MAX_MOTION_RATIO * blurs[blurred] else blurred

@@ -18,7 +18,7 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.board_image import marker_cells
 
 from ..fitting.blur_kernel import BlurKernel
-from ..fitting.print_view import PhotoRegion, RenderedPrint, draw_print, fine_board_points
+from ..fitting.print_view import PhotoRegion, RenderedPrint, fine_board_points, render_print
 
 _MIN_PIXELS = 12  # pixels of a marker; below, its bits are not estimated
 
@@ -28,17 +28,17 @@ class BitEvidence:
     """The agreement of bits in a photo with a board's.
 
     Attributes:
-        log_chance: log of a bound on the probability of chance agreement at one pose.
+        log_chance_bound: log of a bound on the probability of chance agreement at one pose.
         markers: indices into `board.ids` of agreeing markers.
         agreement: marker -> dot product of its estimated bits, of norm 1, and true bits (-1 and 1).
     """
 
-    log_chance: float
+    log_chance_bound: float
     markers: tuple[int, ...]
     agreement: dict[int, float]
 
 
-def measure_evidence(view: PhotoRegion, plane: Array, blur: BlurKernel, noise: float) -> BitEvidence:
+def measure_bit_agreement(view: PhotoRegion, plane: Array, blur: BlurKernel, noise: float) -> BitEvidence:
     """Compare the bits in a photo with those of the board in `view`.
 
     Args:
@@ -46,16 +46,16 @@ def measure_evidence(view: PhotoRegion, plane: Array, blur: BlurKernel, noise: f
         blur: px of the photo.
         noise: standard deviation, grey levels.
     """
-    blur = blur.in_larger_pixels(view.reduction_factor)
-    drawing = draw_print(view, plane, blur)
+    blur = blur.scaled_to_reduced_picture(view.reduction_factor)
+    drawing = render_print(view, plane, blur)
     bits = marker_bits(view.piece.board)
     cells = _sample_bit_indices(view, plane)
     agreement = {}
     for k in view.piece.markers:
         if (found := _estimate_bits(view, drawing, blur, cells, k, bits[k], noise)) is not None:
             agreement[k] = float(bits[k] @ found)
-    log_chance, markers = most_significant_markers(agreement)
-    return BitEvidence(log_chance, markers, agreement)
+    log_chance_bound, markers = most_significant_markers(agreement)
+    return BitEvidence(log_chance_bound, markers, agreement)
 
 
 def most_significant_markers(agreement: dict[int, float]) -> tuple[float, tuple[int, ...]]:
@@ -69,9 +69,9 @@ def most_significant_markers(agreement: dict[int, float]) -> tuple[float, tuple[
     for count, k in enumerate(order, start=1):
         total += agreement[k]
         log_sets = math.log(math.comb(len(order), count) * len(order))
-        log_chance = log_sets - max(total, 0.0) ** 2 / (2 * count)
-        if log_chance < best:
-            best, taken = log_chance, tuple(sorted(order[:count]))
+        log_chance_bound = log_sets - max(total, 0.0) ** 2 / (2 * count)
+        if log_chance_bound < best:
+            best, taken = log_chance_bound, tuple(sorted(order[:count]))
     return best, taken
 
 
@@ -130,8 +130,8 @@ def _estimate_bits(
     rest = drawn - by_bit @ (bits / 2)
     across, down = np.meshgrid(np.linspace(-1, 1, wide), np.linspace(-1, 1, high))
     light = [np.ones(len(rest)), across[inside], down[inside], rest]
-    if drawing.beside is not None:
-        light += [*drawing.beside[part][inside].T]
+    if drawing.blurred_outside_share is not None:
+        light += [*drawing.blurred_outside_share[part][inside].T]
     q, _ = np.linalg.qr(np.column_stack(light))
     by_bit, photo = by_bit - q @ (q.T @ by_bit), photo - q @ (q.T @ photo)
     # The bits' prior variance is the signal's: noise is not amplified.

@@ -20,7 +20,7 @@ def test_hands_that_come_too_high_feel_for_cloth(tmp_path: Path, monkeypatch: py
     with SimulatorCache(session_of(tmp_path, FOLD)) as simulators:
         simulator, attempt = first_attempt(simulators)
         felt = simulate_expert(simulator, attempt)
-        monkeypatch.setattr(hands, "DEPTHS", ())
+        monkeypatch.setattr(hands, "RETRY_DEPTHS", ())
         missed = simulate_expert(simulator, attempt)
     assert felt.outcome.success, felt.outcome.detail
     assert "missed its corner" in missed.outcome.detail

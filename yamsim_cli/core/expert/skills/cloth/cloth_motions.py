@@ -11,7 +11,7 @@ from yamsim_cli.core.attempt_data import FailureCause
 from yamsim_cli.core.geometry.se3 import Array, interpolate_rotation, pose
 from yamsim_cli.core.sim.cloth import points_between_pads, simulate_pull
 
-from ..common_motions import GRIP_TICKS, rest_segment, unparked_hands
+from ..common_motions import CLOSING_TICKS, rest_segment, unparked_hands
 from ..hand import Hand
 from ..planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from .point_grasps import APPROACH_DISTANCE, APPROACH_OPENING, TIP_CLEARANCE, PointGrasp, are_hands_clear
@@ -19,14 +19,14 @@ from .point_grasps import APPROACH_DISTANCE, APPROACH_OPENING, TIP_CLEARANCE, Po
 CARRY_SPEED = 0.12  # m/s, of a hand that carries cloth
 ARCH_HEIGHT_RATIO = 0.45  # height of a fold's path, as a share of its length
 
-_FORCE = 20.0  # N, of closed fingers on cloth
+_CLOTH_GRIP_FORCE = 20.0  # N, of closed fingers on cloth
 
 # m, a hand grasps lower by a step on each retry after a miss
 _DEPTH_STEP = 0.002
-DEPTHS = (_DEPTH_STEP, 2 * _DEPTH_STEP, 3 * _DEPTH_STEP, 4 * _DEPTH_STEP)
+RETRY_DEPTHS = (_DEPTH_STEP, 2 * _DEPTH_STEP, 3 * _DEPTH_STEP, 4 * _DEPTH_STEP)
 _OPEN_TICKS = 4  # control ticks in which fingers open before a retry
 
-_MAX_OPEN_OPENING = 2 * APPROACH_OPENING  # m, fingers that stay more open are stuck
+_MAX_OPEN_OPENING = 2 * APPROACH_OPENING  # m, before a grasp; fingers that are more open are stuck
 _MAX_CLOSED_OPENING = 0.006  # m, more than cloth is thick
 
 _RETREAT_DISTANCE = 0.04  # m, of a hand out from under the cloth that it placed
@@ -77,7 +77,7 @@ def carry_points(
         yield context.make_segment(_plan_arch_paths(context, thing, grasps, arch, speed))
         yield rest_segment(context)
     yield context.make_segment(
-        {hand: context.still_motion(hand, GRIP_TICKS) for hand in opened}, opened, wait_for_arrival=False
+        {hand: context.hold_still_motion(hand, CLOSING_TICKS) for hand in opened}, opened, wait_for_arrival=False
     )
     # A hand that pulled a single layer is above the cloth, unless a finger slipped under the edge.
     beneath = context.world.sides_with_finger_under_cloth(thing)
@@ -138,8 +138,8 @@ def _close_with_retries(context: PlanningContext, thing: str, grasps: Sequence[P
     """
     yield from _close_fingers(context, grasps)
     points = context.world.cloth_points(thing)
-    limits = {grasp.hand: _max_depth(points, grasp) for grasp in grasps}
-    for depth in DEPTHS:
+    limits = {grasp.hand: _max_retry_depth(points, grasp) for grasp in grasps}
+    for depth in RETRY_DEPTHS:
         holders = context.world.holding_sides(thing)
         retried = [
             grasp
@@ -151,7 +151,7 @@ def _close_with_retries(context: PlanningContext, thing: str, grasps: Sequence[P
         if not retried:
             return
         opened = {grasp.hand: FingerTarget(APPROACH_OPENING) for grasp in retried}
-        yield context.make_segment({hand: context.still_motion(hand, _OPEN_TICKS) for hand in opened}, opened)
+        yield context.make_segment({hand: context.hold_still_motion(hand, _OPEN_TICKS) for hand in opened}, opened)
         lines = {}
         for grasp in retried:
             lower = grasp.T_grasp.copy()
@@ -161,15 +161,15 @@ def _close_with_retries(context: PlanningContext, thing: str, grasps: Sequence[P
         yield from _close_fingers(context, retried)
 
 
-def _max_depth(points: Array, grasp: PointGrasp) -> float:
+def _max_retry_depth(points: Array, grasp: PointGrasp) -> float:
     """Return the depth of a retry, m, at which the tips reach what is under the cloth."""
     hollow = float(points[grasp.placement.point][2] - points[..., 2].min()) if grasp.placement.single_layer else 0.0
     return hollow + TIP_CLEARANCE
 
 
 def _close_fingers(context: PlanningContext, grasps: Sequence[PointGrasp]) -> Iterator[MotionSegment]:
-    closing = {grasp.hand: FingerTarget(0.0, _FORCE) for grasp in grasps}
-    yield context.make_segment({hand: context.still_motion(hand, GRIP_TICKS) for hand in closing}, closing)
+    closing = {grasp.hand: FingerTarget(0.0, _CLOTH_GRIP_FORCE) for grasp in grasps}
+    yield context.make_segment({hand: context.hold_still_motion(hand, CLOSING_TICKS) for hand in closing}, closing)
     yield rest_segment(context)
 
 
@@ -186,7 +186,7 @@ def _retreat_path(context: PlanningContext, grasp: PointGrasp) -> Array:
             return context.plan_line(grasp.hand, T)
         except SkillFailedError:
             continue
-    return context.still_motion(grasp.hand, 1)
+    return context.hold_still_motion(grasp.hand, 1)
 
 
 def _plan_arch_paths(
@@ -202,7 +202,7 @@ def _plan_arch_paths(
         over = np.array([0.0, 0.0, _PULL_HEIGHT if grasp.placement.single_layer else high[2] - low[2] + _DROP_HEIGHT])
         ends[grasp.hand] = (
             T_now,
-            pose(grasp.placement.target(points) + over - grasp.R_end @ in_pinch, grasp.R_end),
+            pose(grasp.placement.target(points) + over - grasp.R_hand_at_end @ in_pinch, grasp.R_hand_at_end),
         )
     length = max(float(np.linalg.norm((T_end - T_now)[:2, 3])) for T_now, T_end in ends.values())
     return {

@@ -32,14 +32,14 @@ _MAX_PULLS = 6
 _PULL_SPEED = 0.15  # m/s
 _MIN_IMPROVEMENT = 0.04  # share by which a pull must reduce the unevenness
 
-_RETRY_SCALE = 3.0  # factor of pull lengths, height limits and the least improvement, once no ordinary pull helps
+_RETRY_PULL_FACTOR = 3.0  # factor of pull lengths, height limits and the least improvement, once no ordinary pull helps
 
-_PATH_SHARES = (1.0, 0.7, 0.45)  # of a pull, in the order tried, if hands do not reach all of it
+_PULL_LENGTH_SHARES = (1.0, 0.7, 0.45)  # of a pull, in the order tried, if hands do not reach all of it
 
 # layer thicknesses: horizontal distances of points at a pulled point's target, and of points that follow it
 _TARGET_LAYERS, _FOLLOWING_LAYERS = 4, 6
 
-_MISSED_RADIUS = 0.02  # m, around a missed point, within which no further grasp is tried
+_MISSED_GRASP_RADIUS = 0.02  # m, around a missed point, within which no further grasp is tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +53,8 @@ class Flatten(Skill):
     """Flatten cloth by pulls at its border, each with the flattest simulated result."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS_HELD: ClassVar[bool | None] = False
-    OF_CLOTH: ClassVar[bool] = True
+    REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
+    HANDLES_CLOTH: ClassVar[bool] = True
     thing: str
 
     def run(
@@ -92,7 +92,7 @@ def flatten_cloth(
         if planned is None:
             # Hands that are still over the cloth block each other.
             yield from open_and_park_hands(context)
-            planned = _best_pull(context, thing, missed, _RETRY_SCALE)
+            planned = _best_pull(context, thing, missed, _RETRY_PULL_FACTOR)
         if planned is None:
             break
         before, tried = (
@@ -135,14 +135,16 @@ def _best_pull(
     thickness = cloth.thickness
     best: _PlannedPull | None = None
     for pull in candidate_pulls(points, cloth.flat_points, thickness, cloth.max_point_spacing, scale):
-        if any(np.linalg.norm(points[point] - place) < _MISSED_RADIUS for point in pull.points for place in missed):
+        if any(
+            np.linalg.norm(points[point] - place) < _MISSED_GRASP_RADIUS for point in pull.points for place in missed
+        ):
             continue
         grasps = next(
             filter(
                 None,
                 (
                     reachable_grasps(context, thing, _point_placements(points, pull, share, thickness))
-                    for share in _PATH_SHARES
+                    for share in _PULL_LENGTH_SHARES
                 ),
             ),
             None,
@@ -160,12 +162,12 @@ def _best_pull(
 def _point_placements(points: Array, pull: ClothPull, share: float, thickness: float) -> list[PointPlacement]:
     placements = []
     for point, to in zip(pull.points, pull.targets, strict=True):
-        place = _on_cloth(points, point, points[point][:2] + share * (to - points[point][:2]), thickness)
+        place = _resting_position_at(points, point, points[point][:2] + share * (to - points[point][:2]), thickness)
         placements.append(PointPlacement(point, target_at_place(place), single_layer=True))
     return placements
 
 
-def _on_cloth(points: Array, point: Point, to: Array, thickness: float) -> Array:
+def _resting_position_at(points: Array, point: Point, to: Array, thickness: float) -> Array:
     """Return the position of a point moved to `to` (2,): on the cloth that lies there, or on the table."""
     flat, place = points.reshape(-1, 3), points[point]
     there = np.linalg.norm(flat[:, :2] - to, axis=1) < _TARGET_LAYERS * thickness

@@ -27,8 +27,8 @@ class Fold(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS_HELD: ClassVar[bool | None] = False
-    OF_CLOTH: ClassVar[bool] = True
+    REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
+    HANDLES_CLOTH: ClassVar[bool] = True
     thing: str
     how: FoldKind = "half"
 

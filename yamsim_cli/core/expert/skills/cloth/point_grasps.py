@@ -17,17 +17,21 @@ TIP_CLEARANCE = 0.001  # m, of tips over a grasped point: tips press on the clot
 APPROACH_DISTANCE = 0.08  # m, length of a hand's straight approach
 
 HALF_PAD, _HALF_WIDTH = 0.0082, 0.0072  # m, half the length of a pad, which ends at the tip, and half its width
-_INSET = 0.007  # m, offset of a grasp from its point towards the middle of the cloth, so that both pads meet cloth
+_GRASP_INSET = (
+    0.007  # m, offset of a grasp from its point towards the middle of the cloth, so that both pads meet cloth
+)
 
 # Cloth that stands up between the two squares below ends up on a finger.
 _HALF_HAND_SIZE = 0.024  # m, half the side of the square that an open hand needs around its middle
-_HALF_GAP_SIZE = (0.009, 0.011)  # m, half the sides of the gap between open fingers, which cloth may fill
+_HALF_FINGER_GAP_SIZE = (0.009, 0.011)  # m, half the sides of the gap between open fingers, which cloth may fill
 _MAX_STANDING_HEIGHT = 0.03  # m, over the tips, of cloth beside the fingers
 
-_NEIGHBOURS = 2  # cells; neighbours this near to a point of an upper layer give the direction to the layer's middle
+_NEIGHBOUR_CELLS = (
+    2  # cells; neighbours this near to a point of an upper layer give the direction to the layer's middle
+)
 _OVERLAP_DISTANCE = 0.012  # m, horizontal distance below which points lie on each other
-_NEAR_HEIGHT = 0.03  # m over the grasp at which contacts of the hand are checked
-_TILTS = tuple(math.radians(angle) for angle in (0, 15, 30, 45))  # rad, of a hand to its arm, in the order tried
+_CONTACT_CHECK_HEIGHT = 0.03  # m over the grasp at which contacts of the hand are checked
+_HAND_TILTS = tuple(math.radians(angle) for angle in (0, 15, 30, 45))  # rad, of a hand to its arm, in the order tried
 
 # Target (3,) of a point in `world`, m, given the cloth's points (along y, along x, 3) at the grasp.
 PointTarget = Callable[[Array], Array]
@@ -48,8 +52,8 @@ class PointGrasp:
 
     Attributes:
         T_grasp: pose of the pinch frame at the point.
-        R_end: rotation of the pinch frame at the target.
-        approach_joints, end_joints: joints (dof,) before the approach, and over the target, rad.
+        R_hand_at_end: rotation of the pinch frame at the target.
+        approach_joints, joints_at_end: joints (dof,) before the approach, and over the target, rad.
         forward: horizontal direction (2,) of the motion.
         lateral: direction (2,) out from under the cloth, across the motion, or outwards for a point grasped alone.
     """
@@ -57,9 +61,9 @@ class PointGrasp:
     hand: Hand
     placement: PointPlacement
     T_grasp: Array
-    R_end: Array
+    R_hand_at_end: Array
     approach_joints: Array
-    end_joints: Array
+    joints_at_end: Array
     forward: Array
     lateral: Array
 
@@ -114,16 +118,16 @@ def _point_grasp(context: PlanningContext, hand: Hand, points: Array, placement:
     # Fingers point down, and close across the direction from the arm, so that a tilt keeps both tips at one height.
     level = rotation_z(heading + math.pi) @ np.diag([1.0, -1.0, -1.0])
     turns = [
-        rotation_from_vector((tilt * math.sin(heading), -tilt * math.cos(heading), 0.0)) @ level for tilt in _TILTS
+        rotation_from_vector((tilt * math.sin(heading), -tilt * math.cos(heading), 0.0)) @ level for tilt in _HAND_TILTS
     ]
-    for tilt, R in zip(_TILTS, turns, strict=True):
+    for tilt, R in zip(_HAND_TILTS, turns, strict=True):
         up = HALF_PAD * math.cos(tilt) + _HALF_WIDTH * math.sin(tilt) + TIP_CLEARANCE
         up -= 0.0 if placement.single_layer else _height_over_lowest(points, place)
-        T_at = pose((*(place[:2] + _INSET * inwards), place[2] + up), R)
+        T_at = pose((*(place[:2] + _GRASP_INSET * inwards), place[2] + up), R)
         if placement.single_layer and _cloth_stands_beside(points, T_at):
             continue
         T_near = T_at.copy()
-        T_near[2, 3] += _NEAR_HEIGHT
+        T_near[2, 3] += _CONTACT_CHECK_HEIGHT
         near = hand.solve_ik(T_near, (hand.ready_joints,), WAYPOINT_TOLERANCE)
         at = None if near is None else hand.solve_ik(T_at, (near,))
         if near is None or at is None or context.collision_checker.has_self_collision(hand.number, at):
@@ -135,17 +139,17 @@ def _point_grasp(context: PlanningContext, hand: Hand, points: Array, placement:
             or context.find_contact(hand, before, APPROACH_OPENING)
         ):
             continue
-        for R_end in (R, *(turn for turn in turns if turn is not R)):
-            end = hand.solve_ik(pose(T_near[:3, 3] + [*path[:2], 0.0], R_end), (near,), WAYPOINT_TOLERANCE)
+        for R_hand_at_end in (R, *(turn for turn in turns if turn is not R)):
+            end = hand.solve_ik(pose(T_near[:3, 3] + [*path[:2], 0.0], R_hand_at_end), (near,), WAYPOINT_TOLERANCE)
             if end is not None and not context.collision_checker.has_self_collision(hand.number, end):
-                return PointGrasp(hand, placement, T_at, R_end, before, end, forward, lateral)
+                return PointGrasp(hand, placement, T_at, R_hand_at_end, before, end, forward, lateral)
     return None
 
 
 def _cloth_stands_beside(points: Array, T_at: Array) -> bool:
     seen = (points.reshape(-1, 3) - T_at[:3, 3]) @ T_at[:3, :3]
     across = np.abs(seen[:, :2])
-    beside = (across < _HALF_HAND_SIZE).all(axis=1) & ~(across < _HALF_GAP_SIZE).all(axis=1)
+    beside = (across < _HALF_HAND_SIZE).all(axis=1) & ~(across < _HALF_FINGER_GAP_SIZE).all(axis=1)
     return bool((HALF_PAD - seen[beside, 2] > _MAX_STANDING_HEIGHT).any())
 
 
@@ -164,7 +168,8 @@ def _direction_to_middle(place: Array, others: Array) -> Array:
 def _neighbouring_points(points: Array, point: tuple[int, int]) -> Array:
     row, column = point
     near = points[
-        max(0, row - _NEIGHBOURS) : row + _NEIGHBOURS + 1, max(0, column - _NEIGHBOURS) : column + _NEIGHBOURS + 1
+        max(0, row - _NEIGHBOUR_CELLS) : row + _NEIGHBOUR_CELLS + 1,
+        max(0, column - _NEIGHBOUR_CELLS) : column + _NEIGHBOUR_CELLS + 1,
     ]
     return near.reshape(-1, 3)
 
@@ -174,7 +179,7 @@ def _hands_stay_clear(context: PlanningContext, grasps: Sequence[PointGrasp]) ->
         return True
     ends = [
         [(grasp.hand, grasp.approach_joints) for grasp in grasps],
-        [(grasp.hand, grasp.end_joints) for grasp in grasps],
+        [(grasp.hand, grasp.joints_at_end) for grasp in grasps],
     ]
     return all(are_hands_clear(context, *both) for both in ends)
 

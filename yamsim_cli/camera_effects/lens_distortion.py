@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,6 +26,9 @@ def project_points(camera: CameraModel, points_in_cam: ArrayLike) -> Array:
     if len(points) == 0:
         return np.zeros((0, 2))
     zero = np.zeros(3)
+    if camera.fisheye:
+        pixels, _ = cv2.fisheye.projectPoints(points, zero, zero, np.array(camera.K), np.array(camera.distortion))
+        return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
     pixels, _ = cv2.projectPoints(points, zero, zero, np.array(camera.K), np.array(camera.distortion))
     return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
 
@@ -39,6 +43,9 @@ def viewing_rays(camera: CameraModel, pixels: ArrayLike) -> Array:
         y = (points[:, 0, 1] - cy) / fy
         return np.column_stack([(points[:, 0, 0] - cx - skew * y) / fx, y])
     K, distortion = np.array(camera.K), np.array(camera.distortion)
+    if camera.fisheye:
+        found = cv2.fisheye.undistortPoints(points, K, distortion, criteria=_UNDISTORT_CRITERIA)
+        return np.asarray(found, dtype=np.float64).reshape(-1, 2)
     # OpenCV 4 accepts criteria only in another function.
     if older := getattr(cv2, "undistortPointsIter", None):
         found = older(points, K, distortion, np.eye(3), np.eye(3), _UNDISTORT_CRITERIA)
@@ -86,11 +93,14 @@ class LensWarp:
         ideal: the pinhole camera, whose view contains the real one.
         supersample: ideal pixels per real pixel along each axis, at the image's centre.
 
+    Args:
+        size: width and height of the ideal camera, px, which then has the largest focal length that fits.
+
     Raises:
         ConfigError: the lens is too wide for a pinhole picture.
     """
 
-    def __init__(self, camera: CameraModel, supersample: int = 1) -> None:
+    def __init__(self, camera: CameraModel, supersample: int = 1, size: tuple[int, int] | None = None) -> None:
         edge_x = np.linspace(-0.5, camera.width - 0.5, 65)
         edge_y = np.linspace(-0.5, camera.height - 0.5, 65)
         border = np.concatenate(
@@ -105,8 +115,12 @@ class LensWarp:
                 f"the camera sees {math.degrees(math.atan(float(reach.max()))):.0f} degrees off its axis, too wide for "
                 f"a pinhole model; at most {math.degrees(_MAX_HALF_ANGLE):.0f}: check K and distortion"
             )
-        focal = camera.mean_focal_length * supersample
-        width, height = (2 * math.ceil(float(r) * focal) for r in reach)
+        if size is None:
+            focal = camera.mean_focal_length * supersample
+            width, height = (2 * math.ceil(float(r) * focal) for r in reach)
+        else:
+            width, height = size
+            focal = min(width / 2 / float(reach[0]), height / 2 / float(reach[1]))
         self.ideal = Intrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
         self._camera = camera
         self.supersample = supersample
@@ -142,12 +156,15 @@ class LensWarp:
     def distort_picture(self, ideal: NDArray[np.uint8], nearest: bool = False) -> NDArray[np.uint8]:
         """Return the real camera's picture (height, width[, channels]) of an ideal one; `nearest` for masks and ids."""
         camera, fine = self._camera, 1 if nearest else self.supersample
-        map_x, map_y = self._distortion_maps(fine)
-        mode = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
-        bent = cv2.remap(ideal, map_x, map_y, mode, borderMode=cv2.BORDER_REPLICATE)
+        bent = self.remap(ideal, cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR, fine)
         if fine > 1:
             bent = cv2.resize(bent, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
         return np.asarray(bent, dtype=np.uint8)
+
+    def remap(self, ideal: NDArray[Any], interpolation: int, fine: int = 1) -> NDArray[Any]:
+        """Return the values of an ideal picture at the real camera's pixels, or at `fine` times as many."""
+        map_x, map_y = self._distortion_maps(fine)
+        return np.asarray(cv2.remap(ideal, map_x, map_y, interpolation, borderMode=cv2.BORDER_REPLICATE))
 
     def _distortion_maps(self, fine: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         if fine in self._known_maps:

@@ -10,32 +10,32 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ..attempt_data import AttemptJob, AttemptPayload, FailureCause
-from ..closable import Closable
-from ..config.program_task import ProgramTask
-from ..config.recording import SCENE_CAMERA, RecordConfig
-from ..config.session import Session
-from ..dataset.records import MarginsRecord, OutcomeRecord, attempt_record, record_data
-from ..errors import InterruptedJobError, ResourceError, SimulationError, UsageError
-from ..files.writing import move_to_backup
-from ..images.jpeg import decode_jpeg, encode_jpeg
-from ..images.video import VideoWriter, require_encoder
-from ..progress import Progress
-from ..rendering.view_cameras import draw_labels
-from ..statistics import summarize_values, wilson_interval_95
-from ..workers.executors import Executor, J, LostJobError, RunnerFactory, run_all
-from ..workers.process_pool import ProcessPool
-from .attempt_payload import render_cameras
-from .episode_rules import EXPERT_RULES
-from .execution import SimulatedAttempt, simulate_expert
-from .runner import AttemptRunner
-from .sampling import sample_attempt
-from .simulator import Simulator, SimulatorCache
+from .core.attempt_data import AttemptJob, AttemptPayload, FailureCause
+from .core.closable import Closable
+from .core.config.program_task import ProgramTask
+from .core.config.recording import SCENE_CAMERA, RecordConfig
+from .core.config.session import Session
+from .core.dataset.records import MarginsRecord, OutcomeRecord, attempt_record, record_data
+from .core.episode.attempt_payload import render_cameras
+from .core.episode.episode_rules import EXPERT_RULES
+from .core.episode.execution import SimulatedAttempt, simulate_expert
+from .core.episode.runner import AttemptRunner
+from .core.episode.sampling import sample_attempt
+from .core.episode.simulator import Simulator, SimulatorCache
+from .core.errors import InterruptedJobError, ResourceError, SimulationError, UsageError
+from .core.files.writing import move_to_backup
+from .core.images.jpeg import decode_jpeg, encode_jpeg
+from .core.images.video import VideoWriter, require_encoder
+from .core.progress import Progress
+from .core.rendering.view_cameras import draw_labels
+from .core.statistics import summarize_values, wilson_interval_95
+from .core.workers.executors import Executor, J, LostJobError, OpenRunner, run_all
+from .core.workers.process_pool import ProcessPool
 
 R = TypeVar("R")
 
 _MOTIONLESS_CAUSES = (FailureCause.NO_LAYOUT, FailureCause.UNREACHABLE)  # failures before any motion
-_JPEG_QUALITY = 95  # 0..100, of frames that workers send; the loss is small against that of the video
+_JPEG_QUALITY = 95  # 0..100, of frames that workers send; the video itself loses much more
 
 
 def run_expert_trials(session: Session, thresholds: Sequence[float], progress: Progress) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def run_expert_trials(session: Session, thresholds: Sequence[float], progress: P
     return {
         **count_outcomes([record.outcome for record in records], config.task, thresholds, [True] * n),
         "margins": _worst_margins([record.outcome.margins for record in records if record.outcome.margins]),
-        **describe_run(config),
+        **trial_settings(config),
         "end_rule": EXPERT_RULES.end.value,
         "seconds": seconds,
         "core_seconds_per_trial": seconds * workers / n,
@@ -112,7 +112,7 @@ def run_trials(
     return results
 
 
-def describe_run(config: RecordConfig) -> dict[str, Any]:
+def trial_settings(config: RecordConfig) -> dict[str, Any]:
     """Return the settings of trials, JSON-ready."""
     return {
         "rig": config.rig.name,
@@ -139,7 +139,7 @@ def count_outcomes(
     n, succeeded = len(outcomes), sum(outcome.success for outcome in outcomes)
     target = task.target_predicate
 
-    def rate(threshold: float) -> float:
+    def success_rate_within(threshold: float) -> float:
         within = (outcome.is_within(threshold) for outcome in outcomes)
         return sum(near and counts for near, counts in zip(within, valid, strict=True)) / n
 
@@ -149,7 +149,7 @@ def count_outcomes(
         "success_rate": succeeded / n,
         "wilson95": wilson_interval_95(succeeded, n),
         "threshold_m": target and target.radius,
-        "rates": {f"{threshold:g}": rate(threshold) for threshold in thresholds} if target else {},
+        "rates": {f"{threshold:g}": success_rate_within(threshold) for threshold in thresholds} if target else {},
         "dxy_m": summarize_values([outcome.dxy_m for outcome in outcomes if outcome.dxy_m is not None]),
         "causes": dict(Counter(outcome.cause for outcome in outcomes if outcome.cause)),
         "recovered": sum(bool(outcome.recoveries) for outcome in outcomes if outcome.success),
@@ -266,7 +266,7 @@ def film_trials(
 
 
 def film_jobs(
-    factory: RunnerFactory[J, list[bytes]],
+    factory: OpenRunner[J, list[bytes]],
     trials: Sequence[dict[str, Any]],
     jobs: Sequence[J],
     films: TrialVideoWriter,

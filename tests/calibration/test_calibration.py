@@ -1,0 +1,110 @@
+"""The file of a calibration, its check, and the choice of pictures and backgrounds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from yamsim_cli.calibration.calibration_file import (
+    CalibratedArm,
+    CalibratedCamera,
+    Calibration,
+    calibration_text,
+    load_calibration,
+)
+from yamsim_cli.calibration.calibration_report import require_agreement
+from yamsim_cli.calibration.chosen_frames import (
+    BackgroundPicture,
+    compare_with_background,
+    median_background,
+    spread_choice,
+    uncovered_background,
+)
+from yamsim_cli.calibration.pose_search import MaskView, mask_overlap
+from yamsim_cli.core.errors import ConfigError, SimulationError
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.geometry.se3 import pose
+
+
+def _calibration(x: float) -> Calibration:
+    camera = CalibratedCamera(
+        name="top",
+        position=(x, 0.0, 1.0),
+        quat=(0.0, 1.0, 0.0, 0.0),
+        width=320,
+        height=240,
+        K=((300.0, 0.0, 159.5), (0.0, 300.0, 119.5), (0.0, 0.0, 1.0)),
+        focal="given",
+        position_95_mm=(2.0, 2.0, 2.0),
+        rotation_95_deg=(0.2, 0.2, 0.2),
+        focal_95_percent=0.3,
+        delay_ms=10.0,
+        delay_95_ms=5.0,
+        frames=40,
+        outline_px=0.2,
+    )
+    arm = CalibratedArm(
+        name="arm1",
+        position=(0.0, 0.0, 0.0),
+        quat=(1.0, 0.0, 0.0, 0.0),
+        position_95_mm=(0.0, 0.0, 0.0),
+        rotation_95_deg=(0.0, 0.0, 0.0),
+        joint_offsets_deg=(0.0, 1.0),
+        joint_offsets_95_deg=(0.0, 0.3),
+        joint_offsets_estimated=(False, True),
+    )
+    return Calibration(rig="single", reference="arm1", cameras=(camera,), arms=(arm,))
+
+
+def test_a_calibration_is_read_as_written(locations: Locations, tmp_path: Path) -> None:
+    file = tmp_path / "calibration.yaml"
+    file.write_text(calibration_text(_calibration(0.3)))
+    assert load_calibration(file, locations) == _calibration(0.3)
+    file.write_text("rig: single\n")
+    with pytest.raises(ConfigError, match=r"calibration\.yaml"):
+        load_calibration(file, locations)
+
+
+def test_a_check_fails_beyond_both_intervals() -> None:
+    assert require_agreement(_calibration(0.3), _calibration(0.3035))[0]["agrees"]
+    with pytest.raises(SimulationError, match=r"'top' is 4\.5 mm"):
+        require_agreement(_calibration(0.3), _calibration(0.3045))
+
+
+def test_chosen_poses_are_far_from_each_other() -> None:
+    poses = np.array([[0.0], [0.01], [0.02], [1.0], [1.01], [2.0]])
+    chosen = poses[spread_choice(poses, 3)].ravel()
+    assert np.diff(chosen).min() > 0.9
+
+
+def test_a_background_is_what_the_arm_does_not_cover() -> None:
+    wall, arm = np.full((20, 30, 3), 90, np.uint8), np.full((20, 30, 3), 250, np.uint8)
+    covered = np.zeros((20, 30), bool)
+    covered[:, :10] = True
+    # The arm covers the left part in most pictures.
+    images = [np.where(covered[..., None], arm, wall)] * 5 + [wall] * 3
+    pictures = [BackgroundPicture(0, float(k), image) for k, image in enumerate(images)]
+    assert median_background(pictures).image[0, 0, 0] == 250
+    clean = uncovered_background(pictures, [covered] * 5 + [~covered & False] * 3)
+    assert (clean.image == 90).all() and clean.known.all()
+    unseen = uncovered_background(pictures, [covered] * 8)
+    assert not unseen.known[:, :10].any() and unseen.known[:, 10:].all()
+    frame = compare_with_background((0, 0, 0.0), images[0], 0, clean)
+    assert frame.changed[5:15, 2:8].all() and not frame.changed[5:15, 14:].any()
+
+
+def test_the_overlap_is_largest_at_the_true_pose() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1, 1, (3000, 3)) * [0.25, 0.05, 0.05]
+    K = np.array([[200.0, 0.0, 79.5], [0.0, 200.0, 59.5], [0.0, 0.0, 1.0]])
+    truth = pose((0.02, 0.01, 1.0))
+    in_cam = points + truth[:3, 3]
+    pixels = np.round(in_cam[:, :2] / in_cam[:, 2:] * 200 + [79.5, 59.5]).astype(int)
+    changed = np.zeros((120, 160), bool)
+    changed[pixels[:, 1], pixels[:, 0]] = True
+    views = [MaskView(changed, points)]
+    best = mask_overlap(views, K, truth)
+    assert best > 0.7
+    assert max(mask_overlap(views, K, truth + pose(shift) - np.eye(4)) for shift in ((0.05, 0, 0), (0, 0.05, 0))) < best

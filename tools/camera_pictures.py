@@ -1,0 +1,119 @@
+"""Draw one moment of a pick and place through each camera effect and preset, and in six looks, into `docs/images/`.
+
+python -m tools.camera_pictures
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from PIL import Image as Pillow
+
+from tools.task_pictures import first_success
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.session_opener import SessionOpener
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.files.resources import Locations
+
+_SIZE = "320x240"
+_FOLDER = Path(__file__).resolve().parents[1] / "docs" / "images"
+_FRAMES = 3  # up to the shown one, for delay and blur
+_JPEG_QUALITY = 88
+_LOOKS = 6
+
+# Title -> effects, each strong enough to see in a small picture.
+EFFECTS: dict[str, dict[str, Any]] = {
+    "pinhole": {},
+    "distortion": {"distortion": [-0.4, 0.15, 0.0, 0.0]},
+    "fisheye": {"lens": "fisheye", "distortion": [-0.05, 0.0, 0.0, 0.0]},
+    "principal_point": {"principal_point": [0.12, -0.08]},
+    "exposure_ev: -1.5": {"exposure_ev": -1.5},
+    "white_balance": {"white_balance": [1.3, 1.0, 0.7]},
+    "noise": {"full_well_e": 400, "read_noise_e": 8},
+    "jpeg_quality: 15": {"jpeg_quality": 15},
+    "exposure_ms: 60": {"exposure_ms": 60, "shutter_samples": 12},
+    "readout_ms: 64": {"readout_ms": 64, "shutter_samples": 16},
+    "delay_frames: 2": {"delay_frames": 2},
+    "all: wide_fisheye": {"like": "wide_fisheye"},
+}
+PRESETS = ("d405", "zed_mini", "wide_fisheye")
+
+
+def main() -> None:
+    """Draw and write."""
+    opener = SessionOpener(os.environ, lambda text: print(text, file=sys.stderr), str)
+    where = opener.choose_gl_backend(opener.find_locations())
+    tiles = [draw_effects(opener, where, title, keys) for title, keys in EFFECTS.items()]
+    write("camera_effects", grid(tiles, 4))
+    write("camera_presets", grid([draw_effects(opener, where, name, {"like": name}) for name in PRESETS], 3))
+    write("looks", grid([draw_look(opener, where, look) for look in range(1, _LOOKS + 1)], 3))
+
+
+def draw_effects(opener: SessionOpener, where: Locations, title: str, keys: dict[str, Any]) -> np.ndarray:
+    """Return the titled image of a camera with effects."""
+    from yamsim_cli.camera_effects.config import CameraEffects
+    from yamsim_cli.core.config.loader import load_config
+    from yamsim_cli.core.config.recording import CameraEffectsEntry
+
+    config = opener.load_record_config("default", where, size=_SIZE, quality="balanced")
+    effects = (
+        load_config(CameraEffects, "camera_effects", keys["like"], where)
+        if "like" in keys
+        else CameraEffects.model_validate(keys)
+    )
+    entries = (CameraEffectsEntry(effects=effects),) if keys else ()
+    session = opener.with_scene_meshes(Session(config.model_copy(update={"camera_effects": entries}), where))
+    return titled(draw(session), title)
+
+
+def draw_look(opener: SessionOpener, where: Locations, look: int) -> np.ndarray:
+    """Return the titled image of a look."""
+    config = opener.load_record_config("default", where, size=_SIZE, quality="balanced", randomize=True)
+    session = opener.with_scene_meshes(Session(config.model_copy(update={"look": look}), where))
+    return titled(draw(session), f"look_{look}")
+
+
+def draw(session: Session) -> np.ndarray:
+    """Return the scene camera's image at the fastest moment of the first success of seed 0."""
+    from yamsim_cli.core.episode.attempt_payload import render_recorded_images
+
+    with first_success(session) as (simulator, done):
+        states = [state.qpos for state in done.recorded_states]
+        joints = np.array([qpos[simulator.scene.first_arm.joint_qpos] for qpos in states])
+        last = _FRAMES + int(np.abs(np.diff(joints[_FRAMES - 1 :], axis=0)).max(axis=1).argmax())
+        shown = states[last - _FRAMES + 1 : last + 1]
+        images = [image.copy() for _, _, image in render_recorded_images(simulator, replace(done.attempt), shown)]
+    return images[-1]
+
+
+def titled(image: np.ndarray, title: str) -> np.ndarray:
+    """Return a copy of an image with its title in a corner."""
+    image = image.copy()
+    (width, _), _ = cv2.getTextSize(title, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)
+    cv2.rectangle(image, (0, 0), (width + 10, 20), (245, 245, 245), -1)
+    cv2.putText(image, title, (5, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (25, 25, 25), 1, cv2.LINE_AA)
+    return image
+
+
+def grid(tiles: list[np.ndarray], columns: int) -> np.ndarray:
+    """Return images of equal size in rows, with white lines between."""
+    padded = [np.pad(tile, ((2, 2), (2, 2), (0, 0)), constant_values=255) for tile in tiles]
+    return np.vstack([np.hstack(padded[k : k + columns]) for k in range(0, len(padded), columns)])
+
+
+def write(name: str, image: np.ndarray) -> None:
+    """Write an image as JPEG."""
+    file = _FOLDER / f"{name}.jpg"
+    Pillow.fromarray(image).save(file, quality=_JPEG_QUALITY, optimize=True)
+    sys.stdout.write(f"{file}: {file.stat().st_size} bytes\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,331 @@
+"""Calibrate a station: search each camera's pose, fit all cameras together, and refuse what is not certain."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..core.config.rendering import RenderConfig
+from ..core.config.rig import RigConfig
+from ..core.config.scene import SceneConfig
+from ..core.files.resources import Locations
+from ..core.geometry.camera import CameraModel
+from ..core.geometry.se3 import Array, invert_pose
+from ..core.progress import Progress
+from ..photos.overlay.body_views import BodyRenderer
+from .calibration_file import Calibration
+from .camera_views import PreparedCamera, prepare_camera, with_clean_backgrounds
+from .episode_pictures import EpisodePictures
+from .pose_search import Hypothesis, mask_overlap, search_poses
+from .station_fit import FitPriors, FittedCameraView, StationFit, StationProblem, StationState, start_state
+from .uncertainty import StationIntervals, estimate_intervals
+
+_MIN_FRAMES = 16  # pictures; with fewer, the scatter between groups of them tells little
+_MIN_CHANGED = 0.005  # share of a picture that changes with the arms, of the median picture
+_MIN_OVERLAP = 0.25  # intersection over union of the moving bodies with what changes
+_MAX_CHANCE = 0.85  # the overlap for exchanged poses, as a share of that for each picture's own pose
+_MIN_FOUND = 0.6  # share of outline points with an edge within the last reach
+_RIVAL = 0.04  # a second pose whose share of found edges is less by this or less explains the pictures as well
+_MAX_OFFSET = math.radians(3.5)  # rad of a joint, 3.5 standard deviations of the assumed ones; a wrong gripper gave 4.4
+_FOCAL_GUESS = 0.9  # of the longer side: first guess of an unknown focal length
+_FOCAL_SCALES = (0.7, 0.9, 1.15, 1.5)  # tried factors of that guess
+_FOCAL_SIGMA = 0.4  # of the logarithm of an unknown focal length
+_SHARED_REACHES = (5.0, 3.5, 2.5, 2.5, 2.5, 2.5)  # grains, rounds of the fit of all cameras together
+
+
+@dataclass(frozen=True)
+class CalibrationRequest:
+    """What to calibrate.
+
+    Attributes:
+        cameras: names of the fixed cameras.
+        models: known camera calibrations, by name.
+        frames: most pictures of a camera.
+        max_shift, max_turn: half widths of 95 % intervals, m and rad, beyond which a pose is refused.
+        near: an earlier calibration of the station, whose poses are tried first.
+    """
+
+    cameras: tuple[str, ...]
+    models: Mapping[str, CameraModel]
+    frames: int
+    max_shift: float
+    max_turn: float
+    near: Calibration | None = None
+
+    def with_near(self, near: Calibration | None) -> CalibrationRequest:
+        """Return the request with an earlier calibration."""
+        return replace(self, near=near)
+
+
+@dataclass(frozen=True)
+class CameraOutcome:
+    """What the pictures of a camera gave.
+
+    Attributes:
+        refusal: why its pose is not certain, with a remedy; None for a certain pose.
+        figures: frames, overlap and so on, for the report.
+    """
+
+    name: str
+    model: CameraModel
+    is_focal_known: bool
+    refusal: str | None
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class StationOutcome:
+    """The result for a station.
+
+    Attributes:
+        cameras: all that were asked for.
+        fitted: names of the cameras in `views`, `fit` and `intervals`, in their order.
+        fit, intervals: None if no camera has a pose.
+    """
+
+    cameras: tuple[CameraOutcome, ...]
+    fitted: tuple[str, ...]
+    views: tuple[FittedCameraView, ...]
+    episodes: tuple[EpisodePictures, ...]
+    fit: StationFit | None
+    intervals: StationIntervals | None
+
+
+@dataclass(frozen=True)
+class _Started:
+    outcome: CameraOutcome
+    prepared: PreparedCamera
+    state: StationState | None
+
+
+class StationCalibrator:
+    """Calibrates a station. Keep `stack` open as long as the views render."""
+
+    def __init__(
+        self,
+        rig: RigConfig,
+        episodes: Sequence[EpisodePictures],
+        request: CalibrationRequest,
+        surroundings: tuple[SceneConfig, RenderConfig, Locations],
+        stack: ExitStack,
+    ) -> None:
+        self._rig, self._episodes, self._request = rig, episodes, request
+        self._surroundings, self._stack = surroundings, stack
+
+    def run(self, progress: Progress) -> StationOutcome:
+        """Return poses and refusals."""
+        started = []
+        for number, name in enumerate(self._request.cameras):
+            progress(number, len(self._request.cameras) + 1)
+            started.append(self._start(name))
+        progress(len(started), len(started) + 1)
+        outcome = self._fit_together(started)
+        progress(len(started) + 1, len(started) + 1)
+        return outcome
+
+    def _model(self, name: str) -> tuple[CameraModel, bool]:
+        """Return a camera's given, recorded or guessed calibration, and whether its focal length is known."""
+        if name in self._request.models:
+            return self._request.models[name], True
+        pictures = next(one.cameras[name] for one in self._episodes if name in one.cameras)
+        height, width = pictures.read([0])[0].shape[:2]
+        if pictures.K is not None:
+            (a, b, c), (d, e, f), _ = pictures.K.tolist()
+            return CameraModel(width, height, ((a, b, c), (d, e, f), (0.0, 0.0, 1.0))), True
+        return CameraModel.from_focal_length(width, height, _FOCAL_GUESS * max(width, height), _FOCAL_SIGMA), False
+
+    def _start(self, name: str) -> _Started:
+        model, known = self._model(name)
+        scene, quality, locations = self._surroundings
+        renderer = self._stack.enter_context(BodyRenderer(self._rig, scene, quality, model, locations))
+        prepared = prepare_camera(name, self._episodes, self._rig, renderer, model, self._request.frames)
+        frames = prepared.view.frames
+        changed = float(np.median([frame.changed.mean() for frame in frames]))
+        figures = {"frames": len(frames), "changed_share": changed}
+
+        def refused(why: str, **more: float) -> _Started:
+            return _Started(CameraOutcome(name, model, known, why, {**figures, **more}), prepared, None)
+
+        if len(frames) < _MIN_FRAMES:
+            return refused(
+                f"{len(frames)} pictures show different poses of a slow arm; at least {_MIN_FRAMES} are needed: give "
+                "more or longer episodes"
+            )
+        if changed < _MIN_CHANGED or not any(len(mask.points) for mask in prepared.masks):
+            return refused(
+                f"{changed:.1%} of the picture changes when the arms move, at least {_MIN_CHANGED:.1%} are needed: "
+                "give episodes in which the camera sees the arms move"
+            )
+        scales = (1.0,) if known else _FOCAL_SCALES
+        hypotheses = search_poses(prepared.masks, renderer.intrinsics.K, self._known_poses(name), scales, 3)
+        overlap = hypotheses[0].overlap if hypotheses else 0.0
+        if overlap < _MIN_OVERLAP:
+            return refused(
+                f"no pose explains where the picture changes: the best has an overlap of {overlap:.2f}, at least "
+                f"{_MIN_OVERLAP} is needed; are these the pictures of this rig, with radians, and of these episodes?",
+                overlap=overlap,
+            )
+        chance = self._chance_overlap(prepared, hypotheses[0])
+        figures |= {"overlap": overlap, "chance_overlap": chance}
+        if chance > _MAX_CHANCE * overlap:
+            return refused(
+                f"the arms of other pictures explain a picture as well as its own (overlap {chance:.2f} and "
+                f"{overlap:.2f}): are joints and pictures of the same episodes, and do the poses differ?"
+            )
+        return self._first_fit(name, model, known, prepared, hypotheses, figures)
+
+    def _first_fit(
+        self,
+        name: str,
+        model: CameraModel,
+        known: bool,
+        prepared: PreparedCamera,
+        hypotheses: Sequence[Hypothesis],
+        figures: Mapping[str, float],
+    ) -> _Started:
+        """Fit the best hypotheses to the outlines, and keep the best."""
+        problem = StationProblem(self._rig, [prepared.view], self._episodes, self._priors([(model, known)]))
+        fits = []
+        for one in hypotheses[:2]:
+            start = start_state(self._rig, [one.T_base_in_cam], [math.log(one.focal_scale)])
+            fits.append(problem.fit(start))
+            if found_share(fits[-1]) > _MIN_FOUND and one.overlap > 1.15 * hypotheses[-1].overlap:
+                break
+        fits.sort(key=found_share, reverse=True)
+        prepared = with_clean_backgrounds(prepared, fits[0].state, 0, self._episodes)
+        best = problem.with_views([prepared.view]).fit(fits[0].state, _SHARED_REACHES)
+        share = found_share(best)
+        figures = {**figures, "found_share": share, "outline_px": outline_px(best, 0)}
+        refusal = None
+        if share < _MIN_FOUND:
+            refusal = (
+                f"the outlines of the arms meet the picture's edges at {share:.0%} of their points, at least "
+                f"{_MIN_FOUND:.0%} are needed: is the rig's arm and gripper the one in the pictures, and is the "
+                "camera's calibration correct?"
+            )
+        elif len(fits) > 1 and found_share(fits[1]) > found_share(fits[0]) - _RIVAL and _is_other_pose(*fits):
+            refusal = (
+                "two different poses explain the pictures about as well: give episodes in which the arm reaches "
+                "farther to the sides"
+            )
+        return _Started(CameraOutcome(name, model, known, refusal, figures), prepared, best.state)
+
+    def _known_poses(self, name: str) -> list[Array]:
+        """Return the poses of the reference base in the rig's cameras and in the earlier calibration's."""
+        reference = self._rig.recording_order[0]
+        T_reference = self._rig.T_base_in_world(reference)
+        poses = [invert_pose(self._rig.T_cam_in_world(camera)) @ T_reference for camera in self._rig.cameras]
+        if self._request.near:
+            near = [one for one in self._request.near.cameras if one.name == name] or self._request.near.cameras
+            poses += [invert_pose(one.T_cam_in_base) for one in near]
+        return poses
+
+    def _chance_overlap(self, prepared: PreparedCamera, best: Hypothesis) -> float:
+        """Return the overlap of each picture's mask with the arms of another picture."""
+        K = prepared.view.renderer.intrinsics.K
+        K[[0, 1], [0, 1]] *= best.focal_scale
+        masks = prepared.masks
+        half = len(masks) // 2
+        others = masks[half:] + masks[:half]
+        exchanged = [type(one)(one.changed, other.points) for one, other in zip(masks, others, strict=True)]
+        return mask_overlap(exchanged, K, best.T_base_in_cam)
+
+    def _priors(self, models: Sequence[tuple[CameraModel, bool]]) -> FitPriors:
+        return FitPriors(tuple(model.focal_sigma if known else _FOCAL_SIGMA for model, known in models))
+
+    def _fit_together(self, started: Sequence[_Started]) -> StationOutcome:
+        usable = [one for one in started if one.state is not None and one.outcome.refusal is None]
+        if not usable:
+            return StationOutcome(tuple(one.outcome for one in started), (), (), (), None, None)
+        views = tuple(one.prepared.view for one in usable)
+        models = [(one.outcome.model, one.outcome.is_focal_known) for one in usable]
+        problem = StationProblem(self._rig, views, self._episodes, self._priors(models))
+        fit = problem.fit(_joined_state([one.state for one in usable if one.state]), _SHARED_REACHES)
+        intervals = estimate_intervals(problem, fit)
+        fitted = tuple(one.outcome.name for one in usable)
+        outcomes = []
+        for one in started:
+            if one.outcome.name not in fitted:
+                outcomes.append(one.outcome)
+                continue
+            outcomes.append(self._judged(one.outcome, fitted.index(one.outcome.name), fit, intervals))
+        return StationOutcome(tuple(outcomes), fitted, views, tuple(self._episodes), fit, intervals)
+
+    def _judged(
+        self, outcome: CameraOutcome, number: int, fit: StationFit, intervals: StationIntervals
+    ) -> CameraOutcome:
+        """Return a camera's outcome, refused if its pose is too uncertain."""
+        widths = intervals.cameras[number]
+        shift, turn = float(widths.position.max()), float(widths.turn.max())
+        figures = {
+            **outcome.figures,
+            "found_share": found_share(fit, number),
+            "outline_px": outline_px(fit, number),
+            "halves_shift_m": intervals.halves_position[number],
+            "halves_turn_rad": intervals.halves_turn[number],
+        }
+        refusal = offset_refusal(self._rig, fit.state)
+        if refusal is None and (shift > self._request.max_shift or turn > self._request.max_turn):
+            limits = f"{1000 * self._request.max_shift:g} mm and {math.degrees(self._request.max_turn):g} degrees"
+            refusal = (
+                f"its pose is uncertain by {1000 * shift:.1f} mm and {math.degrees(turn):.2f} degrees (95 %), more "
+                f"than {limits} (--max-shift, --max-turn): {self._remedy(outcome, number, intervals)}"
+            )
+        return CameraOutcome(outcome.name, outcome.model, outcome.is_focal_known, refusal, figures)
+
+    def _remedy(self, outcome: CameraOutcome, number: int, intervals: StationIntervals) -> str:
+        apart = intervals.halves_position[number]
+        if apart > 2 * self._request.max_shift:
+            return f"two halves of the pictures differ by {1000 * apart:.1f} mm; was the camera moved between episodes?"
+        if outcome.figures["changed_share"] < 0.03:
+            return f"the moving arms fill {outcome.figures['changed_share']:.1%} of the picture; give larger pictures"
+        if not outcome.is_focal_known:
+            return "its focal length is estimated too; give its calibration with --camera"
+        return "give more episodes with other poses"
+
+
+def found_share(fit: StationFit, camera: int | None = None) -> float:
+    """Return the share of outline points with an edge, in all pictures or those of a camera."""
+    chosen = [one for one in fit.equations if camera in (None, one.camera)]
+    return sum(one.found for one in chosen) / max(sum(one.points for one in chosen), 1)
+
+
+def offset_refusal(rig: RigConfig, state: StationState) -> str | None:
+    """Return why the joint offsets of a fit are not plausible; None if they are."""
+    for arm, offsets in zip(rig.arms, state.offsets, strict=True):
+        joint = int(np.abs(offsets).argmax())
+        if abs(offsets[joint]) > _MAX_OFFSET:
+            return (
+                f"joint {joint + 1} of {arm.name} would have an offset of {math.degrees(offsets[joint]):.1f} degrees, "
+                f"at most {math.degrees(_MAX_OFFSET):g} are plausible: is the rig's arm and gripper the one in the "
+                "pictures, and are its joints zeroed?"
+            )
+    return None
+
+
+def outline_px(fit: StationFit, camera: int) -> float:
+    """Return the median over a camera's pictures of their outlines' median distance to edges, px."""
+    values = [one.median for one in fit.equations if one.camera == camera and math.isfinite(one.median)]
+    return float(np.median(values)) if values else math.inf
+
+
+def _is_other_pose(one: StationFit, other: StationFit) -> bool:
+    a, b = (invert_pose(fit.state.T_base_in_cam[0]) for fit in (one, other))
+    return float(np.linalg.norm(a[:3, 3] - b[:3, 3])) > 0.02
+
+
+def _joined_state(states: Sequence[StationState]) -> StationState:
+    """Return the state of all cameras; joint offsets are the means, bases those of the first."""
+    first = states[0]
+    return StationState(
+        tuple(one.T_base_in_cam[0] for one in states),
+        tuple(one.log_focal[0] for one in states),
+        tuple(one.delays[0] for one in states),
+        tuple(one.margins[0] for one in states),
+        tuple(np.mean([one.offsets[arm] for one in states], axis=0) for arm in range(len(first.offsets))),
+        first.T_arm_in_base,
+    )

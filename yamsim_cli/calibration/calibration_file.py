@@ -1,0 +1,122 @@
+"""The file of a calibration, `calibration.yaml`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from pydantic import Field
+
+from ..core.config.cameras.camera import Row
+from ..core.config.loader import parse_config
+from ..core.errors import ConfigError
+from ..core.files.documents.config_base import Config, Quaternion
+from ..core.files.documents.yaml_document import dump_yaml
+from ..core.files.resources import Locations
+from ..core.geometry.camera import CameraModel
+from ..core.geometry.se3 import Array, pose_from_quat
+
+Numbers3 = tuple[float, float, float]
+
+
+class CalibratedCamera(Config):
+    """A fixed camera.
+
+    Attributes:
+        name: of its pictures in the episodes.
+        position, quat: pose of the camera's OpenCV frame (x right, y down, z forward) in the base of
+            `Calibration.reference`, m.
+        width, height, K, distortion: as in a camera file, px.
+        focal: whether the focal length was given, or estimated with the pose.
+        position_95_mm, rotation_95_deg, focal_95_percent, delay_95_ms: half widths of 95 % intervals; the first two
+            along and about the axes of the reference base.
+        delay_ms: pictures show the arms as they were this much before their time stamps.
+        frames: pictures that the fit used.
+        outline_px: median distance of the rendered outlines to the pictures' edges.
+    """
+
+    name: str
+    position: Numbers3
+    quat: Quaternion
+    width: int
+    height: int
+    K: tuple[Row, Row, Row]
+    distortion: tuple[float, ...] = ()
+    focal: str = Field(pattern="^(given|estimated)$")
+    position_95_mm: Numbers3
+    rotation_95_deg: Numbers3
+    focal_95_percent: float = Field(ge=0)
+    delay_ms: float
+    delay_95_ms: float = Field(ge=0)
+    frames: int = Field(ge=0)
+    outline_px: float = Field(ge=0)
+
+    @property
+    def T_cam_in_base(self) -> Array:
+        """Pose (4, 4) of the camera in the reference base."""
+        return pose_from_quat(self.position, self.quat)
+
+    @property
+    def camera_model(self) -> CameraModel:
+        """The camera as a model that projects points."""
+        return CameraModel(self.width, self.height, self.K, self.distortion)
+
+
+class CalibratedArm(Config):
+    """An arm of the rig.
+
+    Attributes:
+        position, quat: pose of its base in the base of `Calibration.reference`, m.
+        joint_offsets_deg: measured minus true joints. That of the first joint is 0: an offset of it looks like a turn
+            of the base.
+        joint_offsets_estimated: whether the pictures determine each offset; if not, its interval is mostly that of the
+            assumption.
+    """
+
+    name: str
+    position: Numbers3
+    quat: Quaternion
+    position_95_mm: Numbers3
+    rotation_95_deg: Numbers3
+    joint_offsets_deg: tuple[float, ...]
+    joint_offsets_95_deg: tuple[float, ...]
+    joint_offsets_estimated: tuple[bool, ...]
+
+    @property
+    def T_base_in_reference(self) -> Array:
+        """Pose (4, 4) of the base in the reference base."""
+        return pose_from_quat(self.position, self.quat)
+
+    @property
+    def offsets(self) -> Array:
+        """Joint offsets (dof,), rad."""
+        return np.radians(self.joint_offsets_deg)
+
+
+class Calibration(Config):
+    """Cameras and arms of a station.
+
+    Attributes:
+        rig: name of the rig.
+        reference: name of the arm in whose base all poses are given: the left or only one.
+    """
+
+    rig: str
+    reference: str
+    cameras: tuple[CalibratedCamera, ...]
+    arms: tuple[CalibratedArm, ...]
+
+
+def calibration_text(calibration: Calibration) -> str:
+    """Return the YAML of a calibration."""
+    return dump_yaml(calibration.model_dump(mode="json"))
+
+
+def load_calibration(path: Path, locations: Locations) -> Calibration:
+    """Read a calibration. Raise ConfigError if the file cannot be read or is not valid."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
+        raise ConfigError(f"{path} cannot be read: {reason}; give a calibration.yaml of `yamsim calibrate`") from error
+    return parse_config(Calibration, text, str(path), locations)

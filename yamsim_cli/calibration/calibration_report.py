@@ -1,0 +1,318 @@
+"""The files of a calibration: `calibration.yaml`, a JSON report and a page with the arms over the pictures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.config.rig import RigConfig
+from ..core.errors import DatasetError, PartialJobError, SimulationError
+from ..core.geometry.camera import CameraModel
+from ..core.geometry.se3 import Array, invert_pose, quat_from_rotation, rotation_vector
+from ..core.images.jpeg import encode_jpeg
+from ..core.markup import (
+    Markup,
+    captioned_jpeg,
+    grid_section,
+    html_page,
+    html_section,
+    html_table,
+    html_tag,
+    page_footer,
+)
+from ..photos.picture_overlay import blend_arms
+from .calibrate_run import CameraOutcome, StationOutcome, outline_px
+from .calibration_file import CalibratedArm, CalibratedCamera, Calibration, Numbers3
+from .station_fit import FitPriors, StationFit
+from .uncertainty import Z95, PoseInterval, StationIntervals
+
+CALIBRATION_FILE, REPORT_FILE, PAGE_FILE = "calibration.yaml", "calibration.json", "calibration.html"
+_MAX_INTERVAL_RATIO = 0.7  # an offset counts as estimated if its interval is at most this share of that before the fit
+_SHOWN_FRAMES = 12  # pictures of a camera on the page
+_OPACITY = 0.35  # of the arms over a picture, 0..1
+_JPEG_QUALITY = 85  # 0..100
+_PAGE_PX = 460  # width of a picture on the page
+
+
+def _numbers(values: Array) -> Numbers3:
+    a, b, c = (float(round(value, 6)) for value in values)
+    return a, b, c
+
+
+def _quat(T: Array) -> tuple[float, float, float, float]:
+    w, x, y, z = (float(round(value, 8)) for value in quat_from_rotation(T[:3, :3]))
+    return w, x, y, z
+
+
+def _widths(interval: PoseInterval) -> dict[str, Numbers3]:
+    return {
+        "position_95_mm": _numbers(1000 * interval.position),
+        "rotation_95_deg": _numbers(np.degrees(interval.turn)),
+    }
+
+
+def make_calibration(rig: RigConfig, outcome: StationOutcome) -> Calibration | None:
+    """Return the calibration of the cameras with a certain pose; None without any."""
+    fit, intervals = outcome.fit, outcome.intervals
+    certain = [one for one in outcome.cameras if one.refusal is None]
+    if fit is None or intervals is None or not certain:
+        return None
+    cameras = tuple(_calibrated_camera(one, outcome.fitted.index(one.name), fit, intervals) for one in certain)
+    arms = tuple(_calibrated_arm(arm.name, number, fit, intervals) for number, arm in enumerate(rig.arms))
+    return Calibration(rig=rig.name, reference=rig.arms[rig.recording_order[0]].name, cameras=cameras, arms=arms)
+
+
+def _calibrated_camera(
+    outcome: CameraOutcome, number: int, fit: StationFit, intervals: StationIntervals
+) -> CalibratedCamera:
+    T = invert_pose(fit.state.T_base_in_cam[number])
+    model, log_focal = outcome.model, fit.state.log_focal[number]
+    # A known focal length stays as given: the fit only allows for its error.
+    K = model.K if outcome.is_focal_known else _with_focal_scale(model, math.exp(log_focal))
+    return CalibratedCamera(
+        name=outcome.name,
+        position=_numbers(T[:3, 3]),
+        quat=_quat(T),
+        width=model.width,
+        height=model.height,
+        K=K,
+        distortion=model.distortion,
+        focal="given" if outcome.is_focal_known else "estimated",
+        **_widths(intervals.cameras[number]),
+        focal_95_percent=100 * intervals.log_focal[number],
+        delay_ms=1000 * fit.state.delays[number],
+        delay_95_ms=1000 * intervals.delays[number],
+        frames=int(outcome.figures["frames"]),
+        outline_px=outline_px(fit, number),
+    )
+
+
+def _with_focal_scale(model: CameraModel, scale: float) -> tuple[Numbers3, Numbers3, Numbers3]:
+    (fx, _, cx), (_, fy, cy), last = model.K
+    return (fx * scale, 0.0, cx), (0.0, fy * scale, cy), last
+
+
+def _calibrated_arm(name: str, number: int, fit: StationFit, intervals: StationIntervals) -> CalibratedArm:
+    T, offsets, widths = fit.state.T_arm_in_base[number], fit.state.offsets[number], intervals.offsets[number]
+    before = Z95 * FitPriors(()).offset
+    return CalibratedArm(
+        name=name,
+        position=_numbers(T[:3, 3]),
+        quat=_quat(T),
+        **_widths(intervals.bases[number]),
+        joint_offsets_deg=tuple(float(value) for value in np.degrees(offsets).round(4)),
+        joint_offsets_95_deg=tuple(float(value) for value in np.degrees(widths).round(4)),
+        joint_offsets_estimated=(False, *(bool(width < _MAX_INTERVAL_RATIO * before) for width in widths[1:])),
+    )
+
+
+def make_report(rig: RigConfig, outcome: StationOutcome, calibration: Calibration | None) -> dict[str, Any]:
+    """Return the JSON report: the calibration, and figures or the refusal of each camera."""
+    return {
+        "rig": rig.name,
+        "episodes": [one.name for one in outcome.episodes],
+        "cameras": [
+            {
+                "name": one.name,
+                "status": "ok" if one.refusal is None else "refused",
+                "reason": one.refusal,
+                **_pose_figures(calibration, one.name),
+                **one.figures,
+            }
+            for one in outcome.cameras
+        ],
+        "joint_offsets_rad": {arm.name: arm.offsets.tolist() for arm in calibration.arms} if calibration else {},
+        "frames": frame_residuals(outcome),
+        "calibration": calibration.model_dump(mode="json") if calibration else None,
+    }
+
+
+def _pose_figures(calibration: Calibration | None, name: str) -> dict[str, Any]:
+    """Return pose, largest standard deviations (m, rad) and delay (s) of a camera; null if it was refused."""
+    for camera in calibration.cameras if calibration else ():
+        if camera.name == name:
+            return {
+                "T_cam_in_base": camera.T_cam_in_base.tolist(),
+                "sigma_m": max(camera.position_95_mm) / Z95 / 1000,
+                "sigma_rad": math.radians(max(camera.rotation_95_deg)) / Z95,
+                "delay_s": camera.delay_ms / 1000,
+            }
+    return {"T_cam_in_base": None, "sigma_m": None, "sigma_rad": None, "delay_s": None}
+
+
+def frame_residuals(outcome: StationOutcome) -> list[dict[str, Any]]:
+    """Return, for each picture of the fit, its median distance of outlines to edges (px) and share of found edges."""
+    if outcome.fit is None:
+        return []
+    rows = []
+    for one in outcome.fit.equations:
+        frame = outcome.views[one.camera].frames[one.frame]
+        rows.append(
+            {
+                "camera": outcome.fitted[one.camera],
+                "episode": outcome.episodes[frame.episode].name,
+                "picture": frame.picture,
+                "time_s": frame.time,
+                "outline_px": one.median if math.isfinite(one.median) else None,
+                "found_share": one.found / max(one.points, 1),
+            }
+        )
+    return rows
+
+
+def raise_for_refusals(outcome: StationOutcome) -> None:
+    """Raise DatasetError if no camera has a certain pose, and PartialJobError if some have none."""
+    refused = [one for one in outcome.cameras if one.refusal is not None]
+    if not refused:
+        return
+    text = "; ".join(f"camera {one.name!r}: {one.refusal}" for one in refused)
+    if len(refused) == len(outcome.cameras):
+        raise DatasetError(text)
+    raise PartialJobError(f"{text}; the other cameras are calibrated")
+
+
+def require_agreement(given: Calibration, found: Calibration) -> list[dict[str, Any]]:
+    """Return the differences of two calibrations by camera.
+
+    Raises:
+        SimulationError: a camera's poses differ by more than both intervals.
+    """
+    rows, faults = [], []
+    for camera in given.cameras:
+        ours = next((one for one in found.cameras if one.name == camera.name), None)
+        if ours is None:
+            continue
+        a, b = camera.T_cam_in_base, ours.T_cam_in_base
+        shift = 1000 * (a[:3, 3] - b[:3, 3])
+        turn = np.degrees(rotation_vector(a[:3, :3] @ b[:3, :3].T))
+        shift_limit = np.add(camera.position_95_mm, ours.position_95_mm)
+        turn_limit = np.add(camera.rotation_95_deg, ours.rotation_95_deg)
+        agrees = bool((np.abs(shift) <= shift_limit).all() and (np.abs(turn) <= turn_limit).all())
+        mm, degrees = float(np.linalg.norm(shift)), float(np.linalg.norm(turn))
+        rows.append({"name": camera.name, "agrees": agrees, "shift_mm": mm, "turn_deg": degrees})
+        if not agrees:
+            faults.append(f"camera {camera.name!r} is {mm:.1f} mm and {degrees:.2f} degrees away")
+    if faults:
+        raise SimulationError(
+            f"the pictures contradict the calibration: {'; '.join(faults)}, more than the intervals of both; was a "
+            "camera or a base moved?"
+        )
+    return rows
+
+
+def write_page(rig: RigConfig, outcome: StationOutcome, calibration: Calibration | None) -> str:
+    """Return the page: poses with intervals, and the arms over the pictures."""
+    body: list[Markup | None] = [
+        html_tag("p", f"on rig {rig.name}, from {len(outcome.episodes)} episodes", class_="where"),
+        _cameras_section(outcome, calibration),
+        _arms_section(calibration) if calibration else None,
+    ]
+    for number, name in enumerate(outcome.fitted):
+        figures = _picture_figures(outcome, number)
+        body.append(grid_section(f"Camera {name}: the arms at their estimated places", figures, "columns"))
+    return html_page("Calibration", "Calibration of a station", rig.name, [one for one in body if one], page_footer())
+
+
+def _cameras_section(outcome: StationOutcome, calibration: Calibration | None) -> Markup:
+    by_name = {one.name: one for one in calibration.cameras} if calibration else {}
+    cells = []
+    for one in outcome.cameras:
+        if one.refusal is not None:
+            cells.append([one.name, "refused", one.refusal, "", "", ""])
+            continue
+        camera = by_name[one.name]
+        cells.append(
+            [
+                one.name,
+                "ok",
+                ", ".join(
+                    f"{1000 * value:.1f} \N{PLUS-MINUS SIGN} {width:.1f}"
+                    for value, width in zip(camera.position, camera.position_95_mm, strict=True)
+                ),
+                f"{max(camera.rotation_95_deg):.2f}",
+                f"{camera.delay_ms:.0f} \N{PLUS-MINUS SIGN} {camera.delay_95_ms:.0f}",
+                f"{camera.outline_px:.2f}",
+            ]
+        )
+    heads = ("camera", "status", "position in the base, mm", "turn, 95 %, degrees", "delay, ms", "outline, px")
+    return html_section("Cameras", html_table(heads, cells))
+
+
+def _arms_section(calibration: Calibration) -> Markup:
+    cells = []
+    for arm in calibration.arms:
+        rows = zip(arm.joint_offsets_deg, arm.joint_offsets_95_deg, arm.joint_offsets_estimated, strict=True)
+        cells.append(
+            [
+                arm.name,
+                ", ".join(f"{1000 * value:.1f}" for value in arm.position),
+                ", ".join(
+                    f"{value:.2f} \N{PLUS-MINUS SIGN} {width:.2f}" if estimated else "not estimated"
+                    for value, width, estimated in rows
+                ),
+            ]
+        )
+    heads = ("arm", "base in that of the reference, mm", "joint offsets (measured minus true), degrees")
+    return html_section("Arms", html_table(heads, cells))
+
+
+def _picture_figures(outcome: StationOutcome, number: int) -> list[Markup]:
+    assert outcome.fit is not None  # a fitted camera has a fit
+    view = outcome.views[number]
+    residuals = {one.frame: one for one in outcome.fit.equations if one.camera == number}
+    count = min(_SHOWN_FRAMES, len(view.frames))
+    figures = []
+    for k in np.linspace(0, len(view.frames) - 1, count).round().astype(int).tolist():
+        view.set_state(outcome.fit.state, number, outcome.episodes, k)
+        arms, frame = view.renderer.arm_picture(), view.frames[k]
+        picture = blend_arms(frame.image, arms.colour, arms.labels, _OPACITY)
+        name = Path(outcome.episodes[frame.episode].name).name
+        caption = f"{name}, {frame.time:.2f} s: outline {residuals[k].median:.2f} px from the picture's edges"
+        figures.append(captioned_jpeg(caption, encode_jpeg(picture, _JPEG_QUALITY), _PAGE_PX))
+    return figures
+
+
+def result_lines(outcome: StationOutcome, calibration: Calibration | None) -> list[str]:
+    """Return a line for each camera and arm."""
+    by_name = {one.name: one for one in calibration.cameras} if calibration else {}
+    lines = []
+    for one in outcome.cameras:
+        if one.refusal is not None:
+            lines.append(f"{one.name}: refused: {one.refusal}")
+            continue
+        camera = by_name[one.name]
+        x, y, z = (f"{value:.4f}" for value in camera.position)
+        lines.append(
+            f"{one.name}: ok, at ({x}, {y}, {z}) m within {max(camera.position_95_mm):.1f} mm and "
+            f"{max(camera.rotation_95_deg):.2f} degrees (95 %), outline {camera.outline_px:.2f} px, "
+            f"{camera.frames} pictures"
+        )
+    for arm in calibration.arms if calibration else ():
+        lines.append(f"{arm.name}: {_offset_text(arm)}")
+    return lines
+
+
+def _offset_text(arm: CalibratedArm) -> str:
+    estimated = [
+        f"joint{k} {value:.2f}"
+        for k, (value, known) in enumerate(
+            zip(arm.joint_offsets_deg, arm.joint_offsets_estimated, strict=True), start=1
+        )
+        if known
+    ]
+    held = [f"joint{k}" for k, known in enumerate(arm.joint_offsets_estimated, start=1) if not known]
+    text = (
+        f"joint offsets {', '.join(estimated)} degrees"
+        if estimated
+        else "no joint offset is estimated from the pictures"
+    )
+    return f"{text}; held: {', '.join(held)}" if held else text
+
+
+def output_files(folder: Path) -> Sequence[Path]:
+    """Return the files that a calibration writes."""
+    return [folder / name for name in (CALIBRATION_FILE, REPORT_FILE, PAGE_FILE)]

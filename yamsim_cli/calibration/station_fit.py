@@ -1,0 +1,455 @@
+"""Fit cameras, bases, joint offsets and delays together to the outlines of the arms in all chosen pictures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.attempt_data import ArmPosture
+from ..core.config.rig import RigConfig
+from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_vector
+from ..photos.edge_alignment import EdgeOffsets, MaskOutline, edge_offsets, grain_px, mask_outline
+from ..photos.overlay.body_views import BodyPicture, BodyRenderer, JointAxes
+from .chosen_frames import ChosenFrame
+from .episode_pictures import EpisodePictures
+
+_REACHES = (16.0, 10.0, 7.0, 5.0, 3.5, 2.5, 2.5, 2.5, 2.5, 2.5)  # grains, search distance for edges by round
+FINAL_REACH = _REACHES[-1]
+_TUKEY_CUTOFF = 4.685  # standard deviations, beyond which Tukey's biweight is 0 (95 % efficiency)
+_EDGE_SIGMA = 0.3  # grains, least standard deviation of an edge's position
+_INDEPENDENT_POINTS = 60.0  # outline points of a picture that count as independent
+_STILL_PICTURES = 3.0  # pictures that count as independent for the outlines of bodies that stand still
+_CONVERGED = 2e-5  # m, movement of the arms in a round, below which the fit ends
+_ARM_REACH = 0.4  # m, from the middle of the arms to their ends, about
+MOVING, STILL, UNCLEAR = 1, 2, 3  # kinds of bodies in a picture
+_MIN_LINE = 10  # outline points; a shorter outline is not used
+
+# Parameters of a camera: the turn and shift of its pose, the logarithm of its focal length, its delay (s), the distance
+# (px) of edges from outlines that all bodies share, and for each body three biases (px) of its edges that all pictures
+# share: outwards, to the right and down. Light, shadows and reduced meshes cause them. The fit holds biases at 0, since
+# they look like other parameters; the intervals include them.
+FOCAL, DELAY, MARGIN, BIASES = 6, 7, 8, 9
+_BIASES = 3  # of each body
+
+
+@dataclass(frozen=True)
+class FitPriors:
+    """Standard deviations of what is known before the fit.
+
+    Attributes:
+        focal: of the logarithm of each camera's focal length.
+        delay: s.
+        offset: of a joint, rad.
+        base_shift, base_turn: of the second base in the first one, m and rad.
+        margin: of the common distance of edges from outlines, px.
+        biases: of a body's edges outwards, and to the right and down, px.
+    """
+
+    focal: tuple[float, ...]
+    delay: float = 0.06
+    offset: float = math.radians(1.0)
+    base_shift: float = 0.03
+    base_turn: float = math.radians(3.0)
+    margin: float = 0.5
+    biases: tuple[float, float, float] = (0.25, 0.2, 0.2)
+
+
+# rad; a turn of a base about its first joint's axis looks like an offset of that joint, which is therefore 0.
+_HELD = 1e-7
+
+
+@dataclass(frozen=True)
+class StationState:
+    """The estimated values.
+
+    Attributes:
+        T_base_in_cam: pose (4, 4) of the reference arm's base in each camera.
+        log_focal: logarithm of each camera's focal length over the given one.
+        delays: of each camera, s: its pictures show the arms as they were this much earlier than stamped.
+        margins: of each camera, px.
+        offsets: of each arm's joints (dof,), rad: measured minus true.
+        T_arm_in_base: pose (4, 4) of each arm's base in the reference arm's base.
+    """
+
+    T_base_in_cam: tuple[Array, ...]
+    log_focal: tuple[float, ...]
+    delays: tuple[float, ...]
+    margins: tuple[float, ...]
+    offsets: tuple[Array, ...]
+    T_arm_in_base: tuple[Array, ...]
+
+    def postures(self, episode: EpisodePictures, time: float, camera: int) -> tuple[ArmPosture, ...]:
+        """Return the true postures in a camera's picture with a time stamp, s."""
+        return episode.postures_at(time - self.delays[camera], self.offsets)
+
+    def base_poses(self, camera: int) -> dict[int, Array]:
+        """Return the pose (4, 4) of each arm's base in a camera."""
+        return {arm: self.T_base_in_cam[camera] @ T for arm, T in enumerate(self.T_arm_in_base)}
+
+
+@dataclass(frozen=True)
+class FittedCameraView:
+    """A camera's pictures.
+
+    Attributes:
+        frames: the chosen pictures.
+        kinds: `MOVING`, `STILL` or `UNCLEAR` of each body in each picture (frames, nbody).
+    """
+
+    name: str
+    renderer: BodyRenderer
+    frames: tuple[ChosenFrame, ...]
+    kinds: NDArray[np.uint8]
+
+    def set_state(self, state: StationState, camera: int, episodes: Sequence[EpisodePictures], frame: int) -> None:
+        """Pose the renderer's arms as in a picture."""
+        shown = self.frames[frame]
+        self.show(state, camera, episodes[shown.episode], shown.time)
+
+    def show(self, state: StationState, camera: int, episode: EpisodePictures, time: float) -> None:
+        """Pose the renderer's arms as in a picture with a time stamp, s."""
+        self.renderer.set_focal_scale(math.exp(state.log_focal[camera]))
+        self.renderer.set_poses(state.base_poses(camera), state.postures(episode, time, camera))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Places of parameters in the vector of all."""
+
+    cameras: int
+    bodies: int
+    dofs: tuple[int, ...]
+    reference: int
+
+    @property
+    def camera_size(self) -> int:
+        """Number of a camera's parameters."""
+        return BIASES + _BIASES * self.bodies
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return self.camera_size * self.cameras + sum(self.dofs) + 6 * (len(self.dofs) - 1)
+
+    def camera(self, number: int) -> slice:
+        """Place of a camera's parameters."""
+        return slice(self.camera_size * number, self.camera_size * (number + 1))
+
+    def offsets(self, arm: int) -> slice:
+        """Place of an arm's joint offsets."""
+        start = self.camera_size * self.cameras + sum(self.dofs[:arm])
+        return slice(start, start + self.dofs[arm])
+
+    def base(self, arm: int) -> slice | None:
+        """Place of the turn and shift of an arm's base; None for the reference arm."""
+        if arm == self.reference:
+            return None
+        others = [k for k in range(len(self.dofs)) if k != self.reference]
+        start = self.camera_size * self.cameras + sum(self.dofs) + 6 * others.index(arm)
+        return slice(start, start + 6)
+
+
+@dataclass(frozen=True)
+class FrameEquations:
+    """The weighted equations of one picture.
+
+    Attributes:
+        normal, gradient: (k, k) and (k,) of all parameters.
+        points: outline points, `found` of which have an edge within reach; `median` is their median distance, px.
+    """
+
+    camera: int
+    frame: int
+    normal: Array
+    gradient: Array
+    points: int
+    found: int
+    median: float
+
+
+@dataclass(frozen=True)
+class StationFit:
+    """The result: values, and the equations of each picture at these values.
+
+    Attributes:
+        prior: inverse covariance (k, k) of what was known before.
+        biases: standard deviations (k,) of the biases that the fit holds at 0; 0 for other parameters.
+        centres: points (3,) in the cameras' frames about which poses turn.
+    """
+
+    layout: Layout
+    state: StationState
+    equations: tuple[FrameEquations, ...]
+    prior: Array
+    biases: Array
+    centres: tuple[Array, ...]
+
+
+class StationProblem:
+    """The fit of a station to its pictures."""
+
+    def __init__(
+        self, rig: RigConfig, views: Sequence[FittedCameraView], episodes: Sequence[EpisodePictures], priors: FitPriors
+    ) -> None:
+        self.views, self.episodes = views, episodes
+        self._rig, self._priors = rig, priors
+        bodies = len(views[0].renderer.arm_of_body)
+        self.layout = Layout(len(views), bodies, tuple(arm.robot.dof for arm in rig.arms), rig.recording_order[0])
+        sigma, biases = np.full(self.layout.size, np.inf), np.zeros(self.layout.size)
+        for number in range(len(views)):
+            start = self.layout.camera(number).start
+            sigma[start + FOCAL] = max(priors.focal[number], _HELD)
+            sigma[start + DELAY] = max(priors.delay, _HELD)
+            sigma[start + MARGIN] = priors.margin
+            held = slice(start + BIASES, self.layout.camera(number).stop)
+            sigma[held], biases[held] = _HELD, priors.biases * bodies
+        for arm in range(len(rig.arms)):
+            sigma[self.layout.offsets(arm)] = max(priors.offset, _HELD)
+            sigma[self.layout.offsets(arm).start] = _HELD
+            if (place := self.layout.base(arm)) is not None:
+                sigma[place] = [priors.base_turn] * 3 + [priors.base_shift] * 3
+        self.sigma, self._biases = sigma, biases
+        self.prior = np.diag(sigma**-2.0)
+
+    def fit(self, state: StationState, reaches: Sequence[float] = _REACHES) -> StationFit:
+        """Return the fit that starts at a state; the start does not change what the priors assume."""
+        for number, reach in enumerate(reaches):
+            equations, centres = self.linearize(state, reach)
+            normal = self.prior + sum(one.normal for one in equations)
+            gradient = sum(one.gradient for one in equations) - self.prior @ self.prior_deviation(state)
+            damped = normal + 1e-9 * np.diag(np.diag(normal) + 1e-12)
+            step: Array = np.linalg.solve(damped, gradient).astype(np.float64)
+            state = self.apply(state, step, centres)
+            if number >= len(reaches) - 3 and self._displacement(step) < _CONVERGED:
+                break
+        equations, centres = self.linearize(state, reaches[-1])
+        return StationFit(self.layout, state, tuple(equations), self.prior, self._biases, tuple(centres))
+
+    def with_views(self, views: Sequence[FittedCameraView]) -> StationProblem:
+        """Return the same problem with other pictures of its cameras."""
+        return StationProblem(self._rig, views, self.episodes, self._priors)
+
+    def prior_deviation(self, state: StationState) -> Array:
+        """Return how far (k,) a state is from the priors' means; 0 for the cameras' poses, which have no prior."""
+        deviation = np.zeros(self.layout.size)
+        for number in range(self.layout.cameras):
+            start = self.layout.camera(number).start
+            deviation[start + FOCAL] = state.log_focal[number]
+            deviation[start + DELAY] = state.delays[number]
+            deviation[start + MARGIN] = state.margins[number]
+        for arm, (offsets, T, T_prior) in enumerate(
+            zip(state.offsets, state.T_arm_in_base, rig_bases(self._rig), strict=True)
+        ):
+            deviation[self.layout.offsets(arm)] = offsets
+            if (place := self.layout.base(arm)) is not None:
+                deviation[place.start : place.start + 3] = rotation_vector(T[:3, :3] @ T_prior[:3, :3].T)
+                deviation[place.start + 3 : place.stop] = T[:3, 3] - T_prior[:3, 3]
+        return deviation
+
+    def _displacement(self, step: Array) -> float:
+        cameras = [step[self.layout.camera(k)] for k in range(self.layout.cameras)]
+        return max(float(np.linalg.norm(one[3:6]) + _ARM_REACH * np.linalg.norm(one[:3])) for one in cameras)
+
+    def apply(self, state: StationState, step: Array, centres: Sequence[Array]) -> StationState:
+        """Return the state after a step (k,)."""
+        poses, focal, delays, margins = [], [], [], []
+        for number, centre in enumerate(centres):
+            own = step[self.layout.camera(number)]
+            poses.append(_moved(state.T_base_in_cam[number], own[:6], centre))
+            focal.append(state.log_focal[number] + float(np.clip(own[FOCAL], -0.1, 0.1)))
+            delays.append(state.delays[number] + float(own[DELAY]))
+            margins.append(state.margins[number] + float(own[MARGIN]))
+        bases = list(state.T_arm_in_base)
+        for arm in range(len(bases)):
+            if (place := self.layout.base(arm)) is not None:
+                bases[arm] = _moved(bases[arm], step[place], bases[arm][:3, 3])
+        offsets = tuple(rows + step[self.layout.offsets(arm)] for arm, rows in enumerate(state.offsets))
+        return StationState(tuple(poses), tuple(focal), tuple(delays), tuple(margins), offsets, tuple(bases))
+
+    def linearize(self, state: StationState, reach: float) -> tuple[list[FrameEquations], list[Array]]:
+        """Return the equations of each picture, and the points about which the cameras' poses turn."""
+        rows: list[_FrameRows] = []
+        centres = []
+        for number, view in enumerate(self.views):
+            # The middle of the base: turns about it are about those of the camera.
+            centre = state.T_base_in_cam[number] @ np.array([0.2, 0.0, 0.2, 1.0])
+            centres.append(centre[:3])
+            rows += [self._frame_rows(state, number, k, centre[:3], reach) for k in range(len(view.frames))]
+        return list(_weighted(rows, self.layout.size)), centres
+
+    def _frame_rows(self, state: StationState, camera: int, frame: int, centre: Array, reach: float) -> _FrameRows:
+        view = self.views[camera]
+        view.set_state(state, camera, self.episodes, frame)
+        picture, shown = view.renderer.body_picture(), view.frames[frame]
+        K = view.renderer.intrinsics.K
+        K[[0, 1], [0, 1]] *= math.exp(state.log_focal[camera])
+        parts = [
+            (line, offsets, kind)
+            for line, offsets, kind in outlines_and_edges(picture, shown, view.kinds[frame], reach)
+            if len(line.points) >= _MIN_LINE
+        ]
+        axes = view.renderer.joint_axes()
+        velocities = self.episodes[shown.episode].velocities_at(shown.time)
+        jacobians, residuals, still, points = [], [], [], 0
+        for line, offsets, kind in parts:
+            points += len(line.points)
+            inside = np.round(line.points - 1.5 * line.normals).astype(int)
+            bodies = picture.bodies[inside[:, 1], inside[:, 0]].astype(int)
+            depth = picture.depth[inside[:, 1], inside[:, 0]].astype(np.float64)
+            use = np.isfinite(offsets.offsets) & (bodies > 0) & (depth > 0)
+            outline = _OutlinePoints(line.points[use], line.normals[use], bodies[use], depth[use])
+            jacobians.append(self._jacobian(outline, K, centre, state, camera, view.renderer, axes, velocities))
+            residuals.append(offsets.offsets[use] - state.margins[camera])
+            still.append(np.full(int(use.sum()), kind == STILL))
+        if not jacobians:
+            return _FrameRows(camera, frame, np.zeros((0, self.layout.size)), np.zeros(0), np.zeros(0, bool), 0, 1.0)
+        grain = grain_px(shown.grey.shape)
+        return _FrameRows(
+            camera, frame, np.concatenate(jacobians), np.concatenate(residuals), np.concatenate(still), points, grain
+        )
+
+    def _jacobian(
+        self,
+        outline: _OutlinePoints,
+        K: Array,
+        centre: Array,
+        state: StationState,
+        camera: int,
+        renderer: BodyRenderer,
+        axes: Sequence[JointAxes],
+        velocities: Sequence[Array],
+    ) -> Array:
+        """Return how far (px) outline points (n, k) move along their normals with each parameter."""
+        points, across = outline.in_camera(K)
+        J = np.zeros((len(points), self.layout.size))
+        place = self.layout.camera(camera)
+        own = J[:, place]
+        own[:, :3], own[:, 3:6] = np.cross(points - centre, across), across
+        own[:, FOCAL] = ((outline.pixels - K[:2, 2]) * outline.normals).sum(axis=1)
+        own[:, MARGIN] = 1.0
+        at = BIASES + _BIASES * outline.bodies[:, None] + np.arange(_BIASES)
+        np.put_along_axis(own, at, outline.bias_jacobian(), axis=1)
+        arms = renderer.arm_of_body[outline.bodies]
+        for arm, joints in enumerate(axes):
+            mine = arms == arm
+            # Offsets are measured minus true, and later pictures show later joints.
+            turned = np.cross(joints.axes[None], points[mine, None] - joints.anchors[None])
+            by_joint = np.einsum("njk,nk->nj", turned, across[mine])
+            by_joint *= renderer.moved_by[arm][:, outline.bodies[mine]].T
+            J[mine, self.layout.offsets(arm)] = -by_joint
+            own[mine, DELAY] = -by_joint @ velocities[arm]
+            if (base := self.layout.base(arm)) is not None:
+                R = state.T_base_in_cam[camera][:3, :3]
+                origin = (state.T_base_in_cam[camera] @ state.T_arm_in_base[arm])[:3, 3]
+                J[mine, base.start : base.start + 3] = np.cross(points[mine] - origin, across[mine]) @ R
+                J[mine, base.start + 3 : base.stop] = across[mine] @ R
+        return J
+
+
+def _moved(T: Array, step: Array, centre: Array) -> Array:
+    turn = rotation_from_vector(step[:3])
+    return pose(centre + step[3:6] + turn @ (T[:3, 3] - centre), turn @ T[:3, :3])
+
+
+@dataclass(frozen=True)
+class _OutlinePoints:
+    """Outline points with an edge: `pixels` and `normals` (n, 2), `bodies` (n,) and `depth` (n,), m."""
+
+    pixels: Array
+    normals: Array
+    bodies: NDArray[np.int64]
+    depth: Array
+
+    def bias_jacobian(self) -> Array:
+        """Return how far (px) edges move along the normals with their body's biases (n, 3)."""
+        return np.column_stack([np.ones(len(self.normals)), self.normals])
+
+    def in_camera(self, K: Array) -> tuple[Array, Array]:
+        """Return points (n, 3) in the camera frame, and px along the normal by m of movement (n, 3)."""
+        ray = (self.pixels - K[:2, 2]) / K[[0, 1], [0, 1]]
+        points = np.column_stack([ray * self.depth[:, None], self.depth])
+        across = self.normals * K[[0, 1], [0, 1]] / self.depth[:, None]
+        return points, np.column_stack([across, -(across * ray).sum(axis=1)])
+
+
+@dataclass(frozen=True)
+class _FrameRows:
+    camera: int
+    frame: int
+    jacobian: Array
+    residuals: Array
+    still: NDArray[np.bool_]
+    points: int
+    grain: float
+
+
+def outlines_and_edges(
+    picture: BodyPicture, shown: ChosenFrame, kinds: NDArray[np.uint8], reach: float
+) -> Iterator[tuple[MaskOutline, EdgeOffsets, int]]:
+    """Yield the outlines of the moving and of the still bodies with the picture's edges within `reach` (grains)."""
+    kind_of = np.where(picture.bodies > 0, kinds[picture.bodies], 0).astype(np.uint8)
+    moving = kind_of == MOVING
+    if moving.any():
+        # The moving arm is where the picture differs from the background: towards its outline, the difference ends.
+        line = mask_outline(moving, ((kind_of > 0) & ~moving) | ~shown.known)
+        yield line, edge_offsets(shown.change, line, reach, falling=True), MOVING
+    still = kind_of == STILL
+    if still.any():
+        line = mask_outline(still, ((kind_of > 0) & ~still) | _grown(shown.changed & ~still))
+        yield line, edge_offsets(shown.grey, line, reach), STILL
+
+
+def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0)
+
+
+def _weighted(rows: Sequence[_FrameRows], size: int) -> Iterator[FrameEquations]:
+    """Yield each picture's equations, with robust weights by each camera's spread of residuals."""
+    by_camera: dict[int, list[Array]] = {}
+    for one in rows:
+        by_camera.setdefault(one.camera, []).append(one.residuals)
+    scales = {
+        camera: 1.4826 * float(np.median(np.abs(np.concatenate(parts)))) if sum(map(len, parts)) else 1.0
+        for camera, parts in by_camera.items()
+    }
+    for one in rows:
+        sigma = max(_EDGE_SIGMA * one.grain, scales[one.camera])
+        weight = np.clip(1 - (one.residuals / (_TUKEY_CUTOFF * sigma)) ** 2, 0, None) ** 2
+        weight *= min(1.0, _INDEPENDENT_POINTS / max(len(weight), 1)) / sigma**2
+        # All pictures show the same edges of what stands still, with the same errors.
+        weight[one.still] *= min(1.0, _STILL_PICTURES / len(by_camera[one.camera]))
+        weighted = one.jacobian * weight[:, None]
+        median = float(np.median(np.abs(one.residuals))) if len(weight) else float("nan")
+        yield FrameEquations(
+            one.camera,
+            one.frame,
+            weighted.T @ one.jacobian,
+            weighted.T @ one.residuals,
+            one.points,
+            len(one.residuals),
+            median,
+        )
+
+
+def start_state(rig: RigConfig, T_base_in_cam: Sequence[Array], log_focal: Sequence[float]) -> StationState:
+    """Return the state before the fit: the rig's bases, no offsets and no delays."""
+    cameras = len(T_base_in_cam)
+    return StationState(
+        tuple(T_base_in_cam),
+        tuple(log_focal),
+        (0.0,) * cameras,
+        (0.0,) * cameras,
+        tuple(np.zeros(arm.robot.dof) for arm in rig.arms),
+        rig_bases(rig),
+    )
+
+
+def rig_bases(rig: RigConfig) -> tuple[Array, ...]:
+    """Return the pose (4, 4) of each arm's base in the reference arm's base, by the rig."""
+    to_reference = invert_pose(rig.T_base_in_world(rig.recording_order[0]))
+    return tuple(to_reference @ rig.T_base_in_world(k) for k in range(len(rig.arms)))

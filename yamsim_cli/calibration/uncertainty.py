@@ -1,0 +1,166 @@
+"""Intervals of a station's fit: from its equations, widened by the scatter between groups of pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.geometry.se3 import Array, invert_pose, rotation_vector
+from ..core.statistics import student_t_quantile_95
+from .station_fit import DELAY, FOCAL, FittedCameraView, StationFit, StationProblem, StationState
+
+Z95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
+_BLOCKS = 6  # groups of pictures, if there are fewer episodes than `_MIN_EPISODES`
+_MIN_EPISODES = 4
+_EXPOSURE = 0.005  # s; a picture shows some time, and its stamp is from its beginning, middle or end
+_HALF_REACHES = (3.5, 2.5, 2.5, 2.5)  # grains, rounds of the fit of a half
+
+
+Groups = NDArray[np.int64]  # (frames,) numbers of groups
+
+
+@dataclass(frozen=True)
+class PoseInterval:
+    """Half widths of 95 % intervals along the axes of the reference base: `position` (3,), m, and `turn` (3,), rad."""
+
+    position: Array
+    turn: Array
+
+
+@dataclass(frozen=True)
+class StationIntervals:
+    """Half widths of 95 % intervals.
+
+    Attributes:
+        cameras: of each camera's pose in the reference base.
+        log_focal, delays: of each camera; s for the delays.
+        offsets: of each arm's joint offsets (dof,), rad.
+        bases: of each arm's base in the reference base; zero for the reference.
+        halves_position, halves_turn: differences (m, rad) of each camera's pose between two halves of the pictures.
+    """
+
+    cameras: tuple[PoseInterval, ...]
+    log_focal: tuple[float, ...]
+    delays: tuple[float, ...]
+    offsets: tuple[Array, ...]
+    bases: tuple[PoseInterval, ...]
+    halves_position: tuple[float, ...]
+    halves_turn: tuple[float, ...]
+
+
+def picture_groups(views: Sequence[FittedCameraView]) -> list[Groups]:
+    """Return the group of each picture, by camera: its episode or, with few episodes, a block of pictures."""
+    episodes = sorted({frame.episode for view in views for frame in view.frames})
+    if len(episodes) >= _MIN_EPISODES:
+        return [np.array([episodes.index(frame.episode) for frame in view.frames]) for view in views]
+    return [np.arange(len(view.frames)) * _BLOCKS // max(len(view.frames), 1) for view in views]
+
+
+def estimate_intervals(problem: StationProblem, fit: StationFit) -> StationIntervals:
+    """Return the intervals of a fit."""
+    groups = picture_groups(problem.views)
+    covariance = _covariance(fit, groups)
+    halves = [_fit_half(problem, fit.state, groups, parity) for parity in (0, 1)]
+    cameras, apart = [], []
+    for number in range(fit.layout.cameras):
+        own, difference = _camera_interval(fit, covariance, number), _camera_difference(halves, number)
+        cameras.append(_widened(own, difference))
+        apart.append(difference)
+    widths = Z95 * np.sqrt(np.diag(covariance))
+    layout = fit.layout
+    one, other = halves
+    starts = [layout.camera(number).start for number in range(layout.cameras)]
+    bases = []
+    for arm in range(len(layout.dofs)):
+        place = layout.base(arm)
+        bases.append(
+            PoseInterval(np.zeros(3), np.zeros(3))
+            if place is None
+            else _widened(
+                PoseInterval(widths[place][3:], widths[place][:3]),
+                _pose_difference(one.T_arm_in_base[arm], other.T_arm_in_base[arm]),
+            )
+        )
+    return StationIntervals(
+        tuple(cameras),
+        tuple(
+            max(float(widths[s + FOCAL]), abs(a - b) / 2)
+            for s, a, b in zip(starts, one.log_focal, other.log_focal, strict=True)
+        ),
+        tuple(
+            max(float(widths[s + DELAY]), abs(a - b) / 2, _EXPOSURE)
+            for s, a, b in zip(starts, one.delays, other.delays, strict=True)
+        ),
+        tuple(
+            np.maximum(widths[layout.offsets(arm)], np.abs(one.offsets[arm] - other.offsets[arm]) / 2)
+            for arm in range(len(layout.dofs))
+        ),
+        tuple(bases),
+        tuple(float(np.linalg.norm(d.position)) for d in apart),
+        tuple(float(np.linalg.norm(d.turn)) for d in apart),
+    )
+
+
+def _covariance(fit: StationFit, groups: Sequence[Groups]) -> Array:
+    """Return the covariance (k, k): of the fit's equations, their scatter between groups, and of biases."""
+    information = fit.prior + sum(one.normal for one in fit.equations)
+    inverse = np.linalg.inv(information)
+    by_group: dict[int, Array] = {}
+    for one in fit.equations:
+        group = int(groups[one.camera][one.frame])
+        by_group[group] = by_group.get(group, np.zeros(len(information))) + one.gradient
+    count = len(by_group)
+    scatter = np.zeros_like(information)
+    if count > 1:
+        gradients = np.array(list(by_group.values()))
+        gradients -= gradients.mean(axis=0)
+        scatter = gradients.T @ gradients * count / (count - 1)
+        scatter *= (student_t_quantile_95(count - 1) / Z95) ** 2
+    normal = sum(one.normal for one in fit.equations)
+    by_bias = inverse @ (normal * fit.biases)
+    by_bias[:, fit.biases == 0] = 0.0
+    both: Array = inverse @ (information + scatter) @ inverse + by_bias @ by_bias.T
+    return both
+
+
+def _camera_interval(fit: StationFit, covariance: Array, number: int) -> PoseInterval:
+    start = fit.layout.camera(number).start
+    T, centre = fit.state.T_base_in_cam[number], fit.centres[number]
+    # A step moves the base about `centre` in the camera's axes; seen from the base, the camera moves the other way.
+    cross = np.array([[0, -centre[2], centre[1]], [centre[2], 0, -centre[0]], [-centre[1], centre[0], 0]])
+    R = T[:3, :3].T
+    by_step = np.block([[-R, np.zeros((3, 3))], [-R @ cross, -R]])
+    own = by_step @ covariance[start : start + 6, start : start + 6] @ by_step.T
+    widths = Z95 * np.sqrt(np.diag(own))
+    return PoseInterval(widths[3:], widths[:3])
+
+
+def _widened(interval: PoseInterval, difference: PoseInterval) -> PoseInterval:
+    """Return an interval that is wider if the halves differ by more than it predicts."""
+    # The difference of two halves has twice the standard deviation of all pictures' fit.
+    position, turn = (
+        max(1.0, float(np.sqrt(np.mean((d / (2 * np.maximum(w, 1e-12) / Z95)) ** 2))))
+        for d, w in ((difference.position, interval.position), (difference.turn, interval.turn))
+    )
+    return PoseInterval(interval.position * position, interval.turn * turn)
+
+
+def _fit_half(problem: StationProblem, state: StationState, groups: Sequence[Groups], parity: int) -> StationState:
+    views = []
+    for view, own in zip(problem.views, groups, strict=True):
+        chosen = np.flatnonzero(own % 2 == parity)
+        frames = tuple(view.frames[k] for k in chosen)
+        views.append(replace(view, frames=frames, kinds=view.kinds[chosen]))
+    return problem.with_views(views).fit(state, _HALF_REACHES).state
+
+
+def _camera_difference(halves: Sequence[StationState], number: int) -> PoseInterval:
+    one, other = (invert_pose(half.T_base_in_cam[number]) for half in halves)
+    return _pose_difference(one, other)
+
+
+def _pose_difference(one: Array, other: Array) -> PoseInterval:
+    return PoseInterval(one[:3, 3] - other[:3, 3], rotation_vector(one[:3, :3] @ other[:3, :3].T))

@@ -1,0 +1,92 @@
+"""The config of a camera's lens, shutter and sensor."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, FiniteFloat, model_validator
+
+from ..core.files.documents.config_base import Config, ConflictError, Name
+from ..core.files.documents.units import QuantityBounds
+from ..core.geometry.camera import CameraModel, Intrinsics
+
+_COEFFICIENT_COUNTS = {"opencv": (0, 4, 5, 8, 12, 14), "fisheye": (4,)}  # lens -> valid numbers of coefficients
+
+_Coefficient = Annotated[FiniteFloat, Field(ge=-10, le=10)]
+_Offset = Annotated[FiniteFloat, QuantityBounds("of 1", -0.25, 0.25)]
+_Gain = Annotated[FiniteFloat, QuantityBounds("of 1", 0.1, 10)]
+_Exposure = Annotated[FiniteFloat, QuantityBounds("EV", -8, 8)]
+_FullWell = Annotated[FiniteFloat, QuantityBounds("electrons", 10, 1e6)]
+_ReadNoise = Annotated[FiniteFloat, QuantityBounds("electrons", 0, 1000)]
+_Time = Annotated[FiniteFloat, QuantityBounds("ms", 0, 500)]
+
+
+class CameraEffects(Config):
+    """Differences of a real camera's images from those of an ideal pinhole camera with the same field of view.
+
+    The effects apply in the order of the attributes, except that the delay and the shutter come first. A key that is
+    left out has no effect.
+
+    Attributes:
+        lens: model of `distortion`: OpenCV's standard model, or its fisheye model.
+        distortion: coefficients in OpenCV's order: 4, 5, 8, 12 or 14 of the standard model, 4 of the fisheye model. The
+            focal length remains that of the camera's field of view.
+        principal_point: offset of the principal point from the image's centre, to the right and down, as a share of the
+            image's width and height.
+        exposure_ev: change of the exposure, in powers of two of the light.
+        white_balance: factors on the light of red, green and blue.
+        full_well_e: electrons of a saturated pixel, which determine the shot noise; without it, there is no noise. A
+            gain divides this number.
+        read_noise_e: standard deviation of the read noise, electrons.
+        jpeg_quality: quality of the JPEG compression in the camera, 1 to 100, before the image is stored.
+        exposure_ms: time for which a row is exposed, ms, which blurs motion. The exposure ends at the frame's time.
+        readout_ms: time from the exposure of the first row to that of the last one, ms: a rolling shutter. The last row
+            is exposed until the frame's time.
+        shutter_samples: number of states that are rendered for one image, if it has motion blur or a rolling shutter.
+        delay_frames: number of frames by which images, and their ground truth, are late.
+    """
+
+    name: Name = "custom"
+    lens: Literal["opencv", "fisheye"] = "opencv"
+    distortion: tuple[_Coefficient, ...] = ()
+    principal_point: tuple[_Offset, _Offset] = (0.0, 0.0)
+    exposure_ev: _Exposure = 0.0
+    white_balance: tuple[_Gain, _Gain, _Gain] = (1.0, 1.0, 1.0)
+    full_well_e: _FullWell | None = None
+    read_noise_e: _ReadNoise = 0.0
+    jpeg_quality: int | None = Field(default=None, ge=1, le=100)
+    exposure_ms: _Time = 0.0
+    readout_ms: _Time = 0.0
+    shutter_samples: int = Field(default=6, ge=2, le=64)
+    delay_frames: int = Field(default=0, ge=0, le=100)
+
+    @model_validator(mode="after")
+    def _coefficients_fit(self) -> CameraEffects:
+        valid = _COEFFICIENT_COUNTS[self.lens]
+        if len(self.distortion) not in valid:
+            raise ConflictError(
+                f"distortion has {len(self.distortion)} numbers, but lens {self.lens!r} has "
+                f"{', '.join(map(str, valid))}",
+                ("distortion",),
+                ("lens",),
+            )
+        if self.read_noise_e and self.full_well_e is None:
+            raise ConflictError("read_noise_e needs full_well_e, the electrons of white", ("read_noise_e",))
+        return self
+
+    @property
+    def has_lens(self) -> bool:
+        """Whether images differ in geometry from those of a centred pinhole camera."""
+        return bool(self.distortion) or self.principal_point != (0.0, 0.0)
+
+    @property
+    def has_shutter(self) -> bool:
+        """Whether an image shows more than one state."""
+        return self.exposure_ms > 0 or self.readout_ms > 0
+
+    def camera_model(self, ideal: Intrinsics) -> CameraModel:
+        """Return the camera whose focal length is that of the centred pinhole camera `ideal`."""
+        cx = ideal.cx + self.principal_point[0] * ideal.width
+        cy = ideal.cy + self.principal_point[1] * ideal.height
+        K = ((ideal.fx, 0.0, cx), (0.0, ideal.fy, cy), (0.0, 0.0, 1.0))
+        return CameraModel(ideal.width, ideal.height, K, self.distortion, fisheye=self.lens == "fisheye")

@@ -1,0 +1,222 @@
+"""Renders cameras with the lens, shutter and sensor of their config `CameraEffects`.
+
+A distorted image is remapped from a wider image of an ideal camera at the same pose. Depth and segmentation take the
+same way, and `LensIntrinsics` projects points, so ground truth fits the images.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .camera_effects.config import CameraEffects
+from .camera_effects.lens_distortion import LensWarp, project_points, viewing_rays
+from .camera_effects.sensor import Sensor
+from .camera_effects.shutter import combine, row_weights, sample_times
+from .core.attempt_data import AttemptJob
+from .core.config.rendering import RenderConfig
+from .core.geometry.camera import CameraModel, Intrinsics
+from .core.geometry.se3 import Array
+from .core.images.image import Image
+from .core.rendering.renderer import GeomIds, SceneRenderer
+from .core.scene.random_streams import Stream, random_generator
+from .core.sim.state_replay import StateReplay
+
+_MAX_ROUND_TRIP = 1e-3  # of x/z and y/z, error of a projection and its inverse, which agree where the model is valid
+_SAME_SURFACE = 0.01  # of the depth: neighbouring pixels that differ by more show different surfaces
+
+
+@dataclass(frozen=True)
+class LensIntrinsics(Intrinsics):
+    """Intrinsics of a camera whose lens distorts."""
+
+    model: CameraModel
+
+    @classmethod
+    def from_ideal(cls, ideal: Intrinsics, effects: CameraEffects) -> LensIntrinsics:
+        """Return the intrinsics of a camera with `effects` and the focal length of `ideal`."""
+        model = effects.camera_model(ideal)
+        cx, cy = model.K[0][2], model.K[1][2]
+        return cls(ideal.width, ideal.height, ideal.fx, ideal.fy, cx, cy, model)
+
+    def project(self, points_in_cam: ArrayLike) -> Array:
+        """See `Intrinsics.project`. A point too far off the axis for the lens model lies where the pinhole has it."""
+        points = np.atleast_2d(np.asarray(points_in_cam, dtype=np.float64))
+        pixels, rays = project_points(self.model, points), points[:, :2] / points[:, 2:]
+        # Far outside the image, the polynomials of a lens fold back into the image.
+        apart = np.abs(viewing_rays(self.model, pixels) - rays).max(axis=1)
+        folded = ~(apart <= _MAX_ROUND_TRIP * (1 + np.abs(rays).max(axis=1)))
+        pixels[folded] = super().project(points[folded]) if folded.any() else pixels[folded]
+        return pixels
+
+    def rays(self, pixels: ArrayLike) -> Array:
+        """See `Intrinsics.rays`."""
+        flat = viewing_rays(self.model, np.atleast_2d(np.asarray(pixels, dtype=np.float64)))
+        return np.column_stack([flat, np.ones(len(flat))])
+
+
+def with_lens(ideal: Intrinsics, effects: CameraEffects | None) -> Intrinsics:
+    """Return the intrinsics of a camera with a lens; `ideal` without one."""
+    return LensIntrinsics.from_ideal(ideal, effects) if effects and effects.has_lens else ideal
+
+
+class EffectsRenderer(SceneRenderer):
+    """Renders cameras through their lenses; a camera without a lens as `SceneRenderer`.
+
+    Each camera with a lens has a renderer of its own for the ideal image, in a size that its first lens determines.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, size: tuple[int, int], quality: RenderConfig, effects: Mapping[str, CameraEffects]
+    ) -> None:
+        super().__init__(model, size, quality.fine_size(size), smooth_shadows=quality.smooth_shadows)
+        self._size, self._quality = size, quality
+        self._lenses = {name: each for name, each in effects.items() if each.has_lens}
+        self._wide: dict[str, tuple[SceneRenderer, tuple[int, int]]] = {}
+        self._warps: dict[str, tuple[LensIntrinsics, LensWarp]] = {}
+
+    def intrinsics(self, camera: str) -> Intrinsics:
+        """See `SceneRenderer.intrinsics`; of a camera with a lens, they include the distortion."""
+        return with_lens(super().intrinsics(camera), self._lenses.get(camera))
+
+    def upload_texture(self, texture: int) -> None:
+        """See `SceneRenderer.upload_texture`."""
+        super().upload_texture(texture)
+        for renderer, _ in self._wide.values():
+            renderer.upload_texture(texture)
+
+    def render(self, data: mujoco.MjData, camera: str, out: Image | None = None) -> Image:
+        """See `SceneRenderer.render`."""
+        if camera not in self._lenses:
+            return super().render(data, camera, out)
+        with self._wide_view(camera) as (renderer, warp):
+            image = warp.distort_picture(renderer.render(data, camera))
+        if out is None:
+            return image
+        out[:] = image
+        return out
+
+    def render_geom_ids(self, data: mujoco.MjData, camera: str) -> GeomIds:
+        """See `SceneRenderer.render_geom_ids`."""
+        if camera not in self._lenses:
+            return super().render_geom_ids(data, camera)
+        with self._wide_view(camera) as (renderer, warp):
+            ids = renderer.render_geom_ids(data, camera)
+            return warp.remap(ids.astype(np.float32), cv2.INTER_NEAREST).astype(np.int32)
+
+    def render_depth(self, data: mujoco.MjData, camera: str) -> NDArray[np.float32]:
+        """See `SceneRenderer.render_depth`."""
+        if camera not in self._lenses:
+            return super().render_depth(data, camera)
+        with self._wide_view(camera) as (renderer, warp):
+            return _remap_depth(warp, renderer.render_depth(data, camera))
+
+    def render_labels_and_depth(
+        self, data: mujoco.MjData, camera: str, label_of_geom: Image, label_of_flex: Image
+    ) -> tuple[Image, NDArray[np.float32]]:
+        """See `SceneRenderer.render_labels_and_depth`."""
+        if camera not in self._lenses:
+            return super().render_labels_and_depth(data, camera, label_of_geom, label_of_flex)
+        with self._wide_view(camera) as (renderer, warp):
+            labels, depth = renderer.render_labels_and_depth(data, camera, label_of_geom, label_of_flex)
+            return warp.distort_picture(labels, nearest=True), _remap_depth(warp, depth)
+
+    @contextlib.contextmanager
+    def _wide_view(self, camera: str) -> Iterator[tuple[SceneRenderer, LensWarp]]:
+        """Give the model the ideal camera's field of view, which contains that of the lens."""
+        lens = self.intrinsics(camera)
+        assert isinstance(lens, LensIntrinsics)
+        known = self._wide.get(camera)
+        if camera not in self._warps or self._warps[camera][0] != lens:
+            self._warps[camera] = lens, LensWarp(lens.model, size=known[1] if known else None)
+        warp = self._warps[camera][1]
+        if known is None:
+            size = warp.ideal.width, warp.ideal.height
+            fine = self._quality.fine_size(size)
+            buffer = self._model.vis.global_
+            buffer.offwidth, buffer.offheight = max(buffer.offwidth, fine[0]), max(buffer.offheight, fine[1])
+            wide = SceneRenderer(self._model, size, fine, smooth_shadows=self._quality.smooth_shadows)
+            known = self._wide[camera] = wide, size
+        number = self._model.cam(camera).id
+        fovy = float(self._model.cam_fovy[number])
+        self._model.cam_fovy[number] = math.degrees(warp.fovy)
+        try:
+            yield known[0], warp
+        finally:
+            self._model.cam_fovy[number] = fovy
+
+    def close(self) -> None:
+        """Free all OpenGL contexts. Repeated calls have no effect."""
+        for renderer, _ in self.__dict__.get("_wide", {}).values():
+            renderer.close()
+        super().close()
+
+
+def _remap_depth(warp: LensWarp, depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the depths z (height, width) of the distorted image, m; 0 for no surface.
+
+    The inverse of z is linear on a plane, so it is interpolated where the neighbours show one surface.
+    """
+    nearest = warp.remap(depth, cv2.INTER_NEAREST)
+    inverse = warp.remap(np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0), cv2.INTER_LINEAR)
+    smooth = np.divide(1.0, inverse, out=np.zeros_like(inverse), where=inverse > 0)
+    return np.where(np.abs(smooth - nearest) <= _SAME_SURFACE * nearest, smooth, nearest).astype(np.float32)
+
+
+class EffectsCamera:
+    """Takes the images of one camera with `effects`: delay, shutter and sensor. `number` is its index in recordings."""
+
+    def __init__(self, name: str, number: int, effects: CameraEffects, frame_period: float) -> None:
+        self.name = name
+        self._number = number
+        self._effects = effects
+        self._period = frame_period
+        self._sensor = Sensor(effects)
+
+    def take(
+        self, renderer: SceneRenderer, replica: StateReplay, positions: Sequence[Array], frame: int, out: Image
+    ) -> None:
+        """Render the image of a frame into `out`, from the positions (nq,) of all frames.
+
+        Afterwards, `replica` has the state at the end of the exposure, to which the ground truth belongs.
+        """
+        shown = max(0, frame - self._effects.delay_frames)
+        if self._effects.has_shutter:
+            images = []
+            for time in sample_times(self._effects):
+                replica.set_state(_position_at(replica.scene.model, positions, shown + time / self._period))
+                images.append(renderer.render(replica.data, self.name))
+            out[:] = combine(np.stack(images), row_weights(self._effects, out.shape[0]))
+            replica.set_state(positions[shown])
+            return
+        replica.set_state(positions[shown])
+        renderer.render(replica.data, self.name, out)
+
+    def expose(self, image: Image, job: AttemptJob, frame: int) -> None:
+        """Apply the sensor to an image (height, width, 3) in place; the noise depends only on job, camera and frame."""
+        self._sensor.apply(image, _noise_generator(job, frame, self._number))
+
+
+def _noise_generator(job: AttemptJob, frame: int, camera: int) -> Callable[[], np.random.Generator]:
+    return lambda: random_generator(job, Stream.SENSOR, frame, camera)
+
+
+def _position_at(model: mujoco.MjModel, positions: Sequence[Array], place: float) -> Array:
+    """Return positions (nq,) at a fractional frame, along the shortest motion between frames; before 0, as at 0."""
+    place = max(0.0, place)
+    first = min(int(place), len(positions) - 1)
+    share = place - first
+    if share == 0.0 or first + 1 >= len(positions):
+        return positions[first]
+    speed = np.zeros(model.nv)
+    qpos = np.array(positions[first], dtype=np.float64)
+    mujoco.mj_differentiatePos(model, speed, 1.0, qpos, np.asarray(positions[first + 1], dtype=np.float64))
+    mujoco.mj_integratePos(model, qpos, speed, share)
+    return qpos

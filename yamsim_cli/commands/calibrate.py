@@ -1,0 +1,160 @@
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from yamsim_cli.core.errors import UsageError, suggest_similar
+from yamsim_cli.flags.output_files import Overwrite, require_unused_paths
+from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, session_opener
+from yamsim_cli.terminal.console import print_json, print_line, progress_bar
+
+if TYPE_CHECKING:
+    from yamsim_cli.calibration.calibrate_run import CalibrationRequest
+    from yamsim_cli.calibration.episode_pictures import EpisodePictures
+    from yamsim_cli.core.config.rig import RigConfig
+    from yamsim_cli.core.files.resources import Locations
+    from yamsim_cli.core.geometry.camera import CameraModel
+
+
+def calibrate(
+    episodes: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Each an episode, a dataset with all its episodes, or a recording that `yamsim import` reads.",
+            show_default=False,
+        ),
+    ],
+    rig: Annotated[str, typer.Option(help="A name from configs/rigs/ or a YAML file.")],
+    revision: Revision = None,
+    margin: Margin = None,
+    camera: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME[=FILE[:CAMERA]]",
+            help="A camera of the episodes, with its calibration (as for overlay); may be repeated.  [default: all "
+            "fixed cameras, with the recorded intrinsics]",
+        ),
+    ] = None,
+    mapping: Annotated[
+        str | None, typer.Option(help="Names of a recording's columns, as for import.  [default: detected]")
+    ] = None,
+    near: Annotated[Path | None, typer.Option(help="An earlier calibration.yaml, whose poses are tried first.")] = None,
+    check: Annotated[
+        Path | None, typer.Option(help="Compare with this calibration.yaml; exit 5 if the pictures contradict it.")
+    ] = None,
+    frames: Annotated[int, typer.Option(min=16, max=200, help="Most pictures of each camera.")] = 40,
+    max_shift: Annotated[
+        float, typer.Option(min=0, help="Half width of the position's 95 % interval, beyond which it is refused, mm.")
+    ] = 5.0,
+    max_turn: Annotated[
+        float, typer.Option(min=0, help="Half width of the turn's 95 % interval, beyond which it is refused, degrees.")
+    ] = 0.5,
+    out: Annotated[Path, typer.Option(help="Folder for calibration.yaml, the page and the report.")] = Path(
+        "calibration"
+    ),
+    overwrite: Overwrite = False,
+    offline: Offline = False,
+    json: Json = False,
+) -> None:
+    """Estimate the poses of fixed cameras from episodes: from the arms in the pictures and the measured joints.
+
+    Example: yamsim calibrate dataset --rig single --out calibration
+    """
+    if near is not None and check is not None:
+        raise UsageError("--near and --check exclude each other; give one of them")
+    where = session_opener.find_locations()
+    settings = session_opener.load_rig(rig, where, margin, revision, None)
+    where = session_opener.choose_gl_backend(where)
+
+    from yamsim_cli.calibration.calibrate_run import StationCalibrator
+    from yamsim_cli.calibration.calibration_file import calibration_text, load_calibration
+    from yamsim_cli.calibration.calibration_report import (
+        make_calibration,
+        make_report,
+        output_files,
+        raise_for_refusals,
+        require_agreement,
+        result_lines,
+        write_page,
+    )
+    from yamsim_cli.calibration.episode_pictures import read_episode_pictures
+    from yamsim_cli.core.config.loader import load_config
+    from yamsim_cli.core.config.rendering import RenderConfig
+    from yamsim_cli.core.config.scene import SceneConfig
+    from yamsim_cli.core.files.documents.json_text import json_text
+    from yamsim_cli.core.files.writing import write_outputs
+    from yamsim_cli.core.scene.compose import rig_mesh_sets
+
+    yaml_file, report_file, page_file = output_files(out)
+    require_unused_paths("--out", [yaml_file, report_file, page_file], overwrite=overwrite)
+    earlier = near or check
+    given = load_calibration(earlier, where) if earlier else None
+    if given and given.rig != settings.name:
+        raise UsageError(f"{earlier} is of rig {given.rig!r}, not {settings.name!r}; give --rig {given.rig}")
+    found = read_episode_pictures(episodes, settings, where, mapping)
+    request = _make_request(camera, found, settings, where, (frames, max_shift / 1000, math.radians(max_turn)))
+    request = request.with_near(given)
+    scene = load_config(SceneConfig, "scenes", "studio", where)
+    quality = load_config(RenderConfig, "quality", "fast", where)
+    where = session_opener.with_mesh_folders(where, rig_mesh_sets(settings))
+    with ExitStack() as stack, progress_bar("calibration", "cameras") as advance:
+        calibrator = StationCalibrator(settings, found, request, (scene, quality, where), stack)
+        outcome = calibrator.run(advance)
+        calibration = make_calibration(settings, outcome)
+        report = make_report(settings, outcome, calibration)
+        files = {
+            report_file: json_text(report).encode(),
+            page_file: write_page(settings, outcome, calibration).encode(),
+        }
+    if calibration is not None:
+        files[yaml_file] = calibration_text(calibration).encode()
+    write_outputs(files, make_folder=True)
+    if json:
+        print_json(report)
+    else:
+        for line in result_lines(outcome, calibration):
+            print_line(line)
+        print_line(f"{len(files)} files, such as {page_file}")
+    if check is not None and given is not None and calibration is not None:
+        require_agreement(given, calibration)
+    raise_for_refusals(outcome)
+
+
+def _make_request(
+    cameras: list[str] | None,
+    episodes: list[EpisodePictures],
+    rig: RigConfig,
+    locations: Locations,
+    limits: tuple[int, float, float],
+) -> CalibrationRequest:
+    """Return the request for the cameras of --camera, by default all that are on no wrist."""
+    from yamsim_cli.calibration.calibrate_run import CalibrationRequest
+    from yamsim_cli.calibration.episode_pictures import camera_names, require_cameras
+    from yamsim_cli.core.config.cameras.camera import CameraConfig
+    from yamsim_cli.core.config.loader import load_config
+
+    wrists = {arm.wrist_camera_name for arm in rig.arms}
+    known = camera_names(episodes)
+    fixed = [name for name in known if name not in wrists and "wrist" not in name]
+    models: dict[str, CameraModel] = {}
+    names = []
+    for text in cameras or fixed:
+        name, _, file = text.partition("=")
+        names.append(name)
+        if file:
+            models[name] = load_config(CameraConfig, "cameras", file, locations).camera_model
+    if len(set(names)) < len(names):
+        raise UsageError(f"--camera names a camera twice: {', '.join(names)}")
+    require_cameras(names, episodes)
+    if on_wrist := [name for name in names if name not in fixed]:
+        raise UsageError(
+            f"--camera {on_wrist[0]}: calibrate estimates fixed cameras, and this one is on a wrist; "
+            f"{suggest_similar(on_wrist[0], fixed)}"
+        )
+    if not names:
+        raise UsageError(f"all cameras are on wrists: {', '.join(known)}; give episodes with a fixed camera")
+    return CalibrationRequest(tuple(names), models, *limits)
