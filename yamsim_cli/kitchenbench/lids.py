@@ -31,13 +31,14 @@ _SNAP_TRAVEL = 0.020  # m, lift at which a snap lid's rim, 10 mm deep, is clear 
 _SNAP_WIDTH = 0.006  # m, lift over which the clips let go
 _SNAP_DAMPING, _SNAP_ARMATURE = 2.0, 0.05  # N s/m and kg
 
-_EAR = (0.015, 0.024, 0.024)  # m, length, width and height of the ear at each end of a food container
-_EAR_DROP = 0.006  # m, from the container's rim down to the ears
+_EAR = (0.022, 0.024, 0.024)  # m, length, width and height of the ear at each end of a food container
+_EAR_DROP = 0.002  # m, from the container's rim down to the ears
+_EAR_OUTWARD = 0.004  # m, from an ear's centre to the pads that hold it, so that fingers clear the wall
 _BAR_WIDTH = 0.020  # m, of a snap lid's bar: the pads press harder on wider things
 
 _STEADY_AZIMUTHS = 24  # directions from which a hand may steady a round container
-_STEADY_TILTS = (0, 20, 40)  # degrees down from horizontal, of that hand
-_STEADY_SHARES = (0.35, 0.5)  # heights of that hand, as shares of the round container's height
+_STEADY_TILTS = (0, 20, 40, 55, 65)  # degrees down from horizontal, of that hand
+_STEADY_SHARES = (0.35, 0.5, 0.62)  # heights of that hand, as shares of the round container's height
 _GRIP_AXES = 8  # closing axes of a hand over a screw lid, in a half turn
 _GRIP_HEIGHT = 0.5  # share of a screw lid's height at which the pads hold it
 
@@ -128,13 +129,14 @@ def _snap_container(base: ObjectConfig, lid: ObjectConfig, force: float) -> dict
     for side in (1.0, -1.0):
         centre = [side * (length + _EAR[0]) / 2, 0.0, height - _EAR_DROP - _EAR[2] / 2]
         ears.append({"type": "box", "centre": centre, "half_size": [size / 2 for size in _EAR], "rgba": rgba})
-        for tilt in (0, 30):
+        grasped = [centre[0] + side * _EAR_OUTWARD, *centre[1:]]
+        for tilt in (0, 15, 30):
             # The hand leans away from the lid.
             lean = side * math.sin(math.radians(tilt))
             handles.append(
                 {
                     "name": f"ear_{'front' if side > 0 else 'back'}_{tilt}",
-                    "position": centre,
+                    "position": grasped,
                     "approach": [-lean, 0.0, -math.cos(math.radians(tilt))],
                     "axis": [0, 1, 0],
                     "opening": _EAR[1] / 2,

@@ -25,6 +25,10 @@ CLOTH_AHEAD, CLOTH_BESIDE = 0.45, 0.0
 #: Position of that origin, m, for containers with lids, which stand around it and need both arms.
 LID_AHEAD, LID_BESIDE = 0.38, 0.0
 
+#: Position of that origin, m, for containers to be opened: the left hand points straight down onto a lid, and the right
+#: hand comes from the side. In the middle between the arms, their wrist cameras would touch.
+OPEN_AHEAD, OPEN_BESIDE = 0.30, 0.16
+
 _STEP = 0.002  # m, of displacements
 _RACK_GAP = 0.005  # m, between a rack and a displaced object
 _LID_GAP = 0.03  # m, between a container and its lid beside it
@@ -37,7 +41,9 @@ def origin_in_world(blueprint: SceneBlueprint) -> tuple[float, float]:
     """Return the position of a blueprint's origin in `world`, m."""
     if blueprint.target_kind == FOLD_GOAL_KIND:
         return (CLOTH_AHEAD, CLOTH_BESIDE)
-    return (LID_AHEAD, LID_BESIDE) if blueprint.target_kind in (OPEN, SEAL) else (AHEAD, BESIDE)
+    if blueprint.target_kind == OPEN:
+        return (OPEN_AHEAD, OPEN_BESIDE)
+    return (LID_AHEAD, LID_BESIDE) if blueprint.target_kind == SEAL else (AHEAD, BESIDE)
 
 
 def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
