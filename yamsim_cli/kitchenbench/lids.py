@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -16,8 +17,10 @@ from ..core.config.objects.shapes import CapShape, ContainerShape, LidShape, Ves
 OPEN, SEAL = "open", "seal"
 #: Name of the lid of a container: of the link, of its joint, and the prefix of its handles' names.
 LID = "lid"
+#: The asset whose lid snaps on; the other lids are screwed.
+SNAP_ASSET = "food_container"
 #: Assets with a lid for `OPEN` -> config of that lid.
-LID_CONFIGS = {"jar": "kitchen_jar_lid", "bottle": "kitchen_bottle_cap", "food_container": "kitchen_lid"}
+LID_CONFIGS = {"jar": "kitchen_jar_lid", "bottle": "kitchen_bottle_cap", SNAP_ASSET: "kitchen_lid"}
 #: Conditions that lids fulfil for `OPEN`.
 LID_CONDITIONS = frozenset({"lid_torque_nm", "cap_turns", "pry_force_n"})
 
@@ -34,12 +37,15 @@ _SNAP_DAMPING, _SNAP_ARMATURE = 2.0, 0.05  # N s/m and kg
 _EAR = (0.022, 0.024, 0.024)  # m, length, width and height of the ear at each end of a food container
 _EAR_DROP = 0.002  # m, from the container's rim down to the ears
 _EAR_OUTWARD = 0.004  # m, from an ear's centre to the pads that hold it, so that fingers clear the wall
+_BAR_LENGTH_MM = 64.0  # mm, of a snap lid's bar, along the container
+_SNAP_TILTS = (0, 15, 30, 45)  # degrees from vertical, of hands over ears and bar, which lean apart
 _BAR_WIDTH = 0.020  # m, of a snap lid's bar: the pads press harder on wider things
 
 _STEADY_AZIMUTHS = 24  # directions from which a hand may steady a round container
 _STEADY_TILTS = (0, 20, 40, 55, 65)  # degrees down from horizontal, of that hand
 _STEADY_SHARES = (0.35, 0.5, 0.62)  # heights of that hand, as shares of the round container's height
-_GRIP_AXES = 8  # closing axes of a hand over a screw lid, in a half turn
+_GRIP_TILTS = (0, 15, 25, 35)  # degrees from vertical, of a hand over a screw lid
+_GRIP_AZIMUTHS = 16  # directions to which that hand leans
 _GRIP_HEIGHT = 0.5  # share of a screw lid's height at which the pads hold it
 
 
@@ -55,7 +61,7 @@ def lidded_container(base: ObjectConfig, asset: str, lid: ObjectConfig, blueprin
     conditions = blueprint.conditions
     data = base.model_dump(mode="json", exclude_none=True)
     data.pop("grasp", None)
-    if asset == "food_container":
+    if asset == SNAP_ASSET:
         # A hand that pries at one long edge turns the lid about the other one.
         assert isinstance(base.shape, ContainerShape)
         torque = conditions.get("lid_torque_nm")
@@ -75,7 +81,7 @@ def container_with_ears(shape: Mapping[str, Any]) -> dict[str, Any]:
 def lid_between_ears(shape: Mapping[str, Any]) -> dict[str, Any]:
     """Return the shape's data of the lid of `container_with_ears`, with a bar for a firm grasp."""
     length, width, height = shape["size_mm"]
-    return {**shape, "size_mm": [length - 2000 * _EAR[0], width, height], "bar_mm": [64, 1000 * _BAR_WIDTH]}
+    return {**shape, "size_mm": [length - 2000 * _EAR[0], width, height], "bar_mm": [1000 * _BAR_WIDTH, _BAR_LENGTH_MM]}
 
 
 def _screw_container(base: ObjectConfig, lid: ObjectConfig, torque: float, turns: float) -> dict[str, Any]:
@@ -87,21 +93,27 @@ def _screw_container(base: ObjectConfig, lid: ObjectConfig, torque: float, turns
         "type": "screw", "axis": [0, 0, 1], "range": [0, 360 * turns], "pitch": _PITCH, "friction": torque,
         "damping": _SCREW_DAMPING, "armature": _SCREW_ARMATURE,
     }  # fmt: skip
-    grips = [
-        {
-            "name": f"{LID}_top_{k}",
-            "position": [0, 0, _GRIP_HEIGHT * tall],
-            "approach": [0, 0, -1],
-            "axis": [math.cos(math.pi * k / _GRIP_AXES), math.sin(math.pi * k / _GRIP_AXES), 0],
-            "opening": lid_radius,
-        }
-        for k in range(_GRIP_AXES)
-    ]
     at = [0.0, 0.0, height - tall + lid.shape.wall_mm / 1000]
     return {
-        "links": [_lid_link(lid, at, joint, grips)],
+        "links": [_lid_link(lid, at, joint, list(_screw_lid_handles(lid_radius, tall)))],
         "handles": list(_round_handles(radius, shoulder)),
     }
+
+
+def _screw_lid_handles(radius: float, height: float) -> Iterator[dict[str, Any]]:
+    """Yield handles over a screw lid, for hands that point down or lean; fingers close horizontally."""
+    for tilt in _GRIP_TILTS:
+        lean = math.radians(tilt)
+        for k in range(_GRIP_AZIMUTHS):
+            turn = 2 * math.pi * k / _GRIP_AZIMUTHS
+            x, y = math.cos(turn), math.sin(turn)
+            yield {
+                "name": f"{LID}_{tilt}_{k}",
+                "position": [0.0, 0.0, _GRIP_HEIGHT * height],
+                "approach": [x * math.sin(lean), y * math.sin(lean), -math.cos(lean)],
+                "axis": [-y, x, 0.0],
+                "opening": radius,
+            }
 
 
 def _round_handles(radius: float, height: float) -> Iterator[dict[str, Any]]:
@@ -130,7 +142,7 @@ def _snap_container(base: ObjectConfig, lid: ObjectConfig, force: float) -> dict
         centre = [side * (length + _EAR[0]) / 2, 0.0, height - _EAR_DROP - _EAR[2] / 2]
         ears.append({"type": "box", "centre": centre, "half_size": [size / 2 for size in _EAR], "rgba": rgba})
         grasped = [centre[0] + side * _EAR_OUTWARD, *centre[1:]]
-        for tilt in (0, 15, 30):
+        for tilt in _SNAP_TILTS:
             # The hand leans away from the lid.
             lean = side * math.sin(math.radians(tilt))
             handles.append(
@@ -149,16 +161,20 @@ def _snap_container(base: ObjectConfig, lid: ObjectConfig, force: float) -> dict
     }  # fmt: skip
     low, top = lid.shape.size_mm[2] / 1000 * 0.33, lid.shape.size_mm[2] / 1000  # the rim reaches a third down
     middle = (low + lid.shape.plate_mm / 1000 + top) / 2
-    grips = [
-        {
-            "name": f"{LID}_bar_{k}",
-            "position": [0.0, y, middle],
-            "approach": [0, 0, -1],
-            "axis": [1, 0, 0],
-            "opening": _BAR_WIDTH / 2,
-        }
-        for k, y in enumerate((0.0, 0.02, -0.02))
-    ]
+    grips = []
+    for tilt, side, x in itertools.product(_SNAP_TILTS, (1, -1), (0.0, 0.02, -0.02)):
+        if tilt == 0 and side < 0:
+            continue
+        lean = side * math.radians(tilt)
+        grips.append(
+            {
+                "name": f"{LID}_bar_{round(side * tilt)}_{round(1000 * x)}".replace("-", "minus_"),
+                "position": [x, 0.0, middle],
+                "approach": [-math.sin(lean), 0.0, -math.cos(lean)],
+                "axis": [0, 1, 0],
+                "opening": _BAR_WIDTH / 2,
+            }
+        )
     data = base.model_dump(mode="json", exclude_none=True)
     return {
         "collision": [*data["collision"], *ears],

@@ -14,7 +14,7 @@ from ..core.geometry.se3 import Array, invert_pose, pose, rotation_z
 from ..core.scene.start_sampling import footprint_corners, footprint_distance
 from ..core.sim.sim_world import make_sim_world
 from .asset_configs import COMPARTMENT, FOLD_GOAL_KIND
-from .lids import LID, OPEN, SEAL
+from .lids import LID, OPEN, SEAL, SNAP_ASSET
 
 #: Position of the blueprints' origin in `world`: ahead and to the left of the midpoint between the arms' bases, m.
 #: Scenes extend from there to the right, so this centres most objects before the arms.
@@ -25,9 +25,11 @@ CLOTH_AHEAD, CLOTH_BESIDE = 0.45, 0.0
 #: Position of that origin, m, for containers with lids, which stand around it and need both arms.
 LID_AHEAD, LID_BESIDE = 0.38, 0.0
 
-#: Position of that origin, m, for containers to be opened: the left hand points straight down onto a lid, and the right
-#: hand comes from the side. In the middle between the arms, their wrist cameras would touch.
-OPEN_AHEAD, OPEN_BESIDE = 0.30, 0.16
+#: Position of that origin, m, for screw lids: the left hand points down onto a lid, and the right hand comes from the
+#: side. In the middle between the arms, their wrist cameras would touch.
+SCREW_AHEAD, SCREW_BESIDE = 0.34, 0.20
+#: Position of that origin, m, for snap lids: both hands point down, onto the lid and onto an ear of the container.
+SNAP_AHEAD, SNAP_BESIDE = 0.30, 0.0
 
 _STEP = 0.002  # m, of displacements
 _RACK_GAP = 0.005  # m, between a rack and a displaced object
@@ -42,7 +44,8 @@ def origin_in_world(blueprint: SceneBlueprint) -> tuple[float, float]:
     if blueprint.target_kind == FOLD_GOAL_KIND:
         return (CLOTH_AHEAD, CLOTH_BESIDE)
     if blueprint.target_kind == OPEN:
-        return (OPEN_AHEAD, OPEN_BESIDE)
+        snaps = any(item.asset == SNAP_ASSET for item in blueprint.objects)
+        return (SNAP_AHEAD, SNAP_BESIDE) if snaps else (SCREW_AHEAD, SCREW_BESIDE)
     return (LID_AHEAD, LID_BESIDE) if blueprint.target_kind == SEAL else (AHEAD, BESIDE)
 
 

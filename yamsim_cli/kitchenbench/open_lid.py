@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -25,7 +25,7 @@ from .lids import LID
 _FORCE = 50.0  # N, asked of each finger. Source: I2RT's SDK limits grippers to 50 N per finger
 _APPROACH = 0.04  # m, length of the straight approach to a handle
 _CLEARANCE = 0.008  # m, additional opening of each finger before closing and after release
-_LIMIT_MARGIN = 0.06  # rad from the limits of the last joint, at the ends of a turn
+_MAX_JOINT_STEP = 0.6  # rad, of a joint in one step of a turn; more is another posture
 _TURN_SPEED = 2.2  # rad/s, of a hand that turns a lid
 _BACK_SPEED = 3.5  # rad/s, of a hand that turns back around the lid
 _TURN_STEP = math.radians(8)  # rad, between the angles of a turn at which contacts are checked
@@ -103,15 +103,15 @@ class OpenLid(Skill):
                 fault = f"the {opener.side} arm does not reach its lid"
                 continue
             if link.joint.type == "screw":
-                # The grasps of a round lid differ in the last joint, and a turn tries all its positions.
-                grips = grips[:1]
+                turns = list(_possible_turns(grips))
             for steady in _reaches(context, steadier, thing, context.object_configs[thing].handles, T_base):
-                for grip in grips:
-                    if link.joint.type != "screw":
-                        if _can_approach(context, steady, thing, grip):
-                            return steady, grip, 0.0
-                        continue
-                    found = _longest_turn(context, steady, thing, grip)
+                if link.joint.type != "screw":
+                    grip = next((grip for grip in grips if _can_approach(context, steady, thing, grip)), None)
+                    if grip is not None:
+                        return steady, grip, 0.0
+                    continue
+                for postures in turns:
+                    found = _longest_turn(context, steady, thing, postures)
                     if found is not None and (best is None or found[0] > best[0] + _SIMILAR_TURN):
                         best = (found[0], steady, found[1])
         if best is None:
@@ -134,12 +134,13 @@ class OpenLid(Skill):
                 hand, _turn_about_vertical(grip.T_pinch, (0.0, angle), (rise, higher)), angle / _TURN_SPEED
             )
             yield context.make_segment({hand: path})
-            yield rest_segment(context)
             gained = context.world.joint_opening(thing, LID) * whole - before
             if self._is_open(context, thing) or gained < _MIN_GAIN * angle:
                 return
             yield context.make_segment(
-                {hand: context.hold_still_motion(hand, CLOSING_TICKS)}, {hand: FingerTarget(grip.opening)}
+                {hand: context.hold_still_motion(hand, CLOSING_TICKS)},
+                {hand: FingerTarget(grip.opening)},
+                wait_for_arrival=False,
             )
             rise += lead * gained
             back = _turn_about_vertical(grip.T_pinch, (angle, 0.0), (higher, rise))
@@ -193,35 +194,48 @@ def _can_approach(context: PlanningContext, steady: _Reach, thing: str, grip: _R
     return not any(_is_blocked(context, steady, thing, grip.hand, joints, grip.opening) for joints in way)
 
 
-def _longest_turn(context: PlanningContext, steady: _Reach, thing: str, grip: _Reach) -> tuple[float, _Reach] | None:
-    """Return the longest turn of a hand around a lid that is free of contacts, rad, and the grasp where it begins.
+def _possible_turns(grips: Sequence[_Reach]) -> Iterator[list[_Reach]]:
+    """Yield turns of a hand around a lid, each as its grasps in steps of `_TURN_STEP`, as far as the arm reaches.
 
-    A hand that points straight down turns by its last joint alone.
+    Grasps that a turn includes begin no turn of their own.
     """
-    hand = grip.hand
-    turned = grip.at.copy()
-    turned[-1] += _TURN_STEP
-    x, y = (hand.pinch_pose(turned) @ np.linalg.inv(hand.pinch_pose(grip.at)))[:2, 0]
-    sense = math.copysign(1.0, math.atan2(y, x))
-    low, high = hand.arm.joint_range[-1] + np.array((_LIMIT_MARGIN, -_LIMIT_MARGIN))
-    positions = np.arange(low, high, _TURN_STEP)[:: int(sense)]
-    free = []
-    for last in positions:
-        joints = np.append(grip.at[:-1], last)
-        free.append(not _is_blocked(context, steady, thing, hand, joints, grip.opening))
+    included: list[Array] = []
+    for grip in grips:
+        if any(np.abs(grip.T_pinch[:3, :3] - T[:3, :3]).max() < _TURN_STEP for T in included):
+            continue
+        postures = [*reversed(list(_turn_one_way(grip, -_TURN_STEP))), grip, *_turn_one_way(grip, _TURN_STEP)]
+        included += [posture.T_pinch for posture in postures]
+        yield postures
+
+
+def _turn_one_way(grip: _Reach, step: float) -> Iterator[_Reach]:
+    hand, joints = grip.hand, grip.at
+    for k in range(1, int(2 * math.pi / abs(step))):
+        T_pinch = grip.T_pinch.copy()
+        T_pinch[:3, :3] = rotation_z(k * step) @ grip.T_pinch[:3, :3]
+        found = hand.solve_ik(T_pinch, (joints,))
+        if found is None or np.abs(found - joints).max() > _MAX_JOINT_STEP:
+            return
+        joints = found
+        yield _Reach(hand, grip.handle, T_pinch, joints, joints)
+
+
+def _longest_turn(
+    context: PlanningContext, steady: _Reach, thing: str, postures: Sequence[_Reach]
+) -> tuple[float, _Reach] | None:
+    """Return the longest part of a turn that is free of contacts, rad, and the grasp where it begins."""
+    free = [not _is_blocked(context, steady, thing, one.hand, one.at, one.opening) for one in postures]
     runs = [(key, list(group)) for key, group in itertools.groupby(range(len(free)), free.__getitem__)]
     for _, run in sorted((item for item in runs if item[0]), key=lambda item: -len(item[1])):
         # One step at each end is the distance from the next contact.
         span = (len(run) - 3) * _TURN_STEP
         if span < _MIN_TURN:
             return None
-        first = float(positions[run[1]])
-        at = np.append(grip.at[:-1], first)
-        T_pinch = hand.pinch_pose(at)
-        before = _joints_before(hand, T_pinch, at)
+        start = postures[run[1]]
+        before = _joints_before(start.hand, start.T_pinch, start.at)
         if before is None:
             continue
-        start = _Reach(hand, grip.handle, T_pinch, before, at)
+        start = replace(start, before=before)
         if _can_approach(context, steady, thing, start):
             return span, start
     return None
