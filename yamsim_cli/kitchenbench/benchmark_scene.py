@@ -39,7 +39,7 @@ from .asset_configs import (
     object_config_of,
     table_for_sheet,
 )
-from .lids import LID_CONDITIONS, OPEN, SEAL
+from .lids import LID_CONDITIONS, OPEN, SEAL, stiffen_lid_friction
 from .object_poses import BESIDE, T_in_world, feasible_poses, origin_in_world
 
 STATION_RIG = "yam_station_linear_4310_d405"  # name of the rig's config
@@ -153,6 +153,8 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
     scene = config.scene.model_copy(update={"table": table_for_scene(config, blueprint)})
     roles = _role_assignment(blueprint)
     simulator = Simulator(base.with_values(task=task, scene=scene), roles)
+    if blueprint.target_kind == OPEN:
+        stiffen_lid_friction(simulator.scene.model)
     wanted = {item.name: T_in_world(item, blueprint) for item in things}
     start = settle_objects(
         simulator.scene, _lower_objects(simulator, feasible_poses(simulator, blueprint)), task.timing.timestep

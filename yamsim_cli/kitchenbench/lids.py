@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import mujoco
 from kitchenbench.sim.blueprint import SceneBlueprint
 
 from ..core.config.objects.generated import object_from_shape
@@ -28,17 +29,19 @@ LID_CONDITIONS = frozenset({"lid_torque_nm", "cap_turns", "pry_force_n"})
 _PITCH = 0.004
 _TURNS = 1.0  # turns from shut to off, where the scene does not give `cap_turns`
 _SCREW_DAMPING = 0.02  # N m s/rad, so that a lid does not spin on when the hand lets go
+_FRICTION_TIME_CONSTANT = 0.0042  # s, of the constraint of dry friction: two steps, the least that is stable
+_FRICTION_IMPEDANCE = 0.999  # of that constraint, 0..1; the nearer to 1, the slower a lid creeps
 _SCREW_ARMATURE = 2e-4  # kg m2, for steps of 2 ms with a large friction torque
 
 _SNAP_TRAVEL = 0.020  # m, lift at which a snap lid's rim, 10 mm deep, is clear of the container
 _SNAP_WIDTH = 0.006  # m, lift over which the clips let go
 _SNAP_DAMPING, _SNAP_ARMATURE = 2.0, 0.05  # N s/m and kg
 
-_EAR = (0.022, 0.024, 0.024)  # m, length, width and height of the ear at each end of a food container
+_EAR = (0.024, 0.060, 0.030)  # m, length, width and height of the ear at each end of a food container
 _EAR_DROP = 0.002  # m, from the container's rim down to the ears
 _EAR_OUTWARD = 0.004  # m, from an ear's centre to the pads that hold it, so that fingers clear the wall
-_BAR_LENGTH_MM = 64.0  # mm, of a snap lid's bar, along the container
-_SNAP_TILTS = (0, 15, 30, 45)  # degrees from vertical, of hands over ears and bar, which lean apart
+_BAR_LENGTH_MM = 90.0  # mm, of a snap lid's bar, along the container
+_SNAP_TILTS = (0, 15, 30, 45, 60)  # degrees from vertical, of hands over ears and bar, which lean apart
 _BAR_WIDTH = 0.020  # m, of a snap lid's bar: the pads press harder on wider things
 
 _STEADY_AZIMUTHS = 24  # directions from which a hand may steady a round container
@@ -70,6 +73,18 @@ def lidded_container(base: ObjectConfig, asset: str, lid: ObjectConfig, blueprin
         return ObjectConfig.model_validate({**data, **_snap_container(base, lid, force)})
     torque, turns = float(conditions["lid_torque_nm"]), float(conditions.get("cap_turns", _TURNS))
     return ObjectConfig.model_validate({**data, **_screw_container(base, lid, torque, turns)})
+
+
+def stiffen_lid_friction(model: mujoco.MjModel) -> None:
+    """Let lids with dry friction stay where they are below their torque.
+
+    MuJoCo's friction of joints is soft: by default, half the torque turns such a lid at a third of a radian a second.
+    """
+    for joint in range(model.njnt):
+        dof = model.jnt_dofadr[joint]
+        if model.joint(joint).name.endswith(f"_{LID}") and model.dof_frictionloss[dof] > 0:
+            model.dof_solref[dof] = (_FRICTION_TIME_CONSTANT, 1.0)
+            model.dof_solimp[dof, :2] = _FRICTION_IMPEDANCE
 
 
 def container_with_ears(shape: Mapping[str, Any]) -> dict[str, Any]:
@@ -162,7 +177,7 @@ def _snap_container(base: ObjectConfig, lid: ObjectConfig, force: float) -> dict
     low, top = lid.shape.size_mm[2] / 1000 * 0.33, lid.shape.size_mm[2] / 1000  # the rim reaches a third down
     middle = (low + lid.shape.plate_mm / 1000 + top) / 2
     grips = []
-    for tilt, side, x in itertools.product(_SNAP_TILTS, (1, -1), (0.0, 0.02, -0.02)):
+    for tilt, side, x in itertools.product(_SNAP_TILTS, (1, -1), (0.035, -0.035, 0.02, -0.02, 0.0)):
         if tilt == 0 and side < 0:
             continue
         lean = side * math.radians(tilt)

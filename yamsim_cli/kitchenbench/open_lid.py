@@ -106,9 +106,12 @@ class OpenLid(Skill):
                 turns = list(_possible_turns(grips))
             for steady in _reaches(context, steadier, thing, context.object_configs[thing].handles, T_base):
                 if link.joint.type != "screw":
-                    grip = next((grip for grip in grips if _can_approach(context, steady, thing, grip)), None)
-                    if grip is not None:
-                        return steady, grip, 0.0
+                    # A lid that is pulled near the hand that steadies tips the container least.
+                    grips.sort(key=lambda grip: float(np.linalg.norm(grip.T_pinch[:3, 3] - steady.T_pinch[:3, 3])))
+                    for grip in grips:
+                        lever = float(np.linalg.norm((grip.T_pinch - steady.T_pinch)[:2, 3]))
+                        if (best is None or lever < -best[0]) and _can_approach(context, steady, thing, grip):
+                            best = (-lever, steady, grip)
                     continue
                 for postures in turns:
                     found = _longest_turn(context, steady, thing, postures)
