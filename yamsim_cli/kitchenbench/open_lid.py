@@ -14,7 +14,7 @@ from pydantic import Field, FiniteFloat
 from ..core.attempt_data import FailureCause
 from ..core.config.goals.role_assignment import RoleAssignment
 from ..core.config.objects.articulation import Handle, Link
-from ..core.expert.skills.common_motions import CLOSING_TICKS, park_hand, release_and_retreat, rest_segment
+from ..core.expert.skills.common_motions import CLOSING_TICKS, park_hand, release_and_retreat
 from ..core.expert.skills.grasp_candidates import is_orientation_plausible
 from ..core.expert.skills.hand import WAYPOINT_TOLERANCE, Hand
 from ..core.expert.skills.planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
@@ -35,7 +35,11 @@ _MIN_TURN = math.radians(25)  # rad, shortest turn of a hand that is tried
 _MIN_GAIN = 0.1  # share of the hand's turn by which the lid has to turn; else it slips between the fingers
 _MAX_TURNS = 14  # grasps of a screw lid
 _PULL_SPEED = 0.05  # m/s
-_EXTRA_PULL, _MAX_PULLS = 0.006, 4  # m and count: an arm that pulls lags behind its command
+_MAX_PRESS = 0.045  # m, of the command of the hand that steadies, below its grasp
+_EXTRA_PULL, _MAX_PULLS = (
+    0.02,
+    6,
+)  # m and count: both arms yield by 2 to 3 mm per newton, so a pull goes farther than the lid
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,7 @@ class OpenLid(Skill):
         if link.joint.type == "screw":
             yield from self._unscrew(context, thing, link, grip, turn)
         else:
-            yield from self._pull(context, thing, link, grip)
+            yield from self._pull(context, thing, link, grip, steady)
         opened = context.world.joint_opening(thing, LID)
         for reach in (grip, steady):
             yield from release_and_retreat(context, reach.hand, _CLEARANCE)
@@ -149,15 +153,21 @@ class OpenLid(Skill):
             back = _turn_about_vertical(grip.T_pinch, (angle, 0.0), (higher, rise))
             yield context.make_segment({hand: context.plan_curve(hand, back, angle / _BACK_SPEED)})
 
-    def _pull(self, context: PlanningContext, thing: str, link: Link, grip: _Reach) -> Iterator[MotionSegment]:
-        """Yield the motions that grasp a lid and pull it up."""
-        hand, travel = grip.hand, link.joint.range[1]
+    def _pull(
+        self, context: PlanningContext, thing: str, link: Link, grip: _Reach, steady: _Reach
+    ) -> Iterator[MotionSegment]:
+        """Yield the motions of two hands: one pulls a lid up, the other presses the container onto the table."""
+        travel = (self.to + 0.05) * link.joint.range[1]
         yield _close_fingers(context, grip)
         for number in range(_MAX_PULLS):
-            T_up = grip.T_pinch.copy()
-            T_up[2, 3] += (self.to + 0.05) * travel + number * _EXTRA_PULL
-            yield context.make_segment({hand: context.plan_line(hand, T_up, _PULL_SPEED)})
-            yield rest_segment(context)
+            T_up, T_down = grip.T_pinch.copy(), steady.T_pinch.copy()
+            T_up[2, 3] += travel + number * _EXTRA_PULL
+            T_down[2, 3] -= min((number + 1) * _EXTRA_PULL, _MAX_PRESS)
+            paths = {
+                grip.hand: context.plan_line(grip.hand, T_up, _PULL_SPEED),
+                steady.hand: context.plan_line(steady.hand, T_down, _PULL_SPEED),
+            }
+            yield context.make_segment(paths)
             if self._is_open(context, thing):
                 return
 
