@@ -26,16 +26,17 @@ _FORCE = 50.0  # N, asked of each finger. Source: I2RT's SDK limits grippers to 
 _APPROACH = 0.04  # m, length of the straight approach to a handle
 _CLEARANCE = 0.008  # m, additional opening of each finger before closing and after release
 _MAX_JOINT_STEP = 0.6  # rad, of a joint in one step of a turn; more is another posture
-_TURN_SPEED = 2.2  # rad/s, of a hand that turns a lid
+_TURN_SPEED = 3.0  # rad/s, of a hand that turns a lid
 _BACK_SPEED = 3.5  # rad/s, of a hand that turns back around the lid
 _TURN_STEP = math.radians(8)  # rad, between the angles of a turn at which contacts are checked
+_START_STEPS = 2  # steps of a turn between grasps that are tried to begin it
 _SIMILAR_TURN = math.radians(5)  # rad; a longer turn is preferred if it gains more than this
 _APPROACH_CHECKS = 4  # postures of an approach at which contacts are checked
 _MIN_TURN = math.radians(25)  # rad, shortest turn of a hand that is tried
 _MIN_GAIN = 0.1  # share of the hand's turn by which the lid has to turn; else it slips between the fingers
 _MAX_TURNS = 14  # grasps of a screw lid
 _PULL_SPEED = 0.05  # m/s
-_MAX_PRESS = 0.045  # m, of the command of the hand that steadies, below its grasp
+_MAX_PRESS = 0.07  # m, of the command of the hand that steadies, below its grasp
 _EXTRA_PULL, _MAX_PULLS = (
     0.02,
     6,
@@ -151,7 +152,8 @@ class OpenLid(Skill):
             )
             rise += lead * gained
             back = _turn_about_vertical(grip.T_pinch, (angle, 0.0), (higher, rise))
-            yield context.make_segment({hand: context.plan_curve(hand, back, angle / _BACK_SPEED)})
+            path = context.plan_curve(hand, back, angle / _BACK_SPEED)
+            yield context.make_segment({hand: path}, wait_for_arrival=False)
 
     def _pull(
         self, context: PlanningContext, thing: str, link: Link, grip: _Reach, steady: _Reach
@@ -241,16 +243,17 @@ def _longest_turn(
     runs = [(key, list(group)) for key, group in itertools.groupby(range(len(free)), free.__getitem__)]
     for _, run in sorted((item for item in runs if item[0]), key=lambda item: -len(item[1])):
         # One step at each end is the distance from the next contact.
-        span = (len(run) - 3) * _TURN_STEP
-        if span < _MIN_TURN:
-            return None
-        start = postures[run[1]]
-        before = _joints_before(start.hand, start.T_pinch, start.at)
-        if before is None:
-            continue
-        start = replace(start, before=before)
-        if _can_approach(context, steady, thing, start):
-            return span, start
+        for k in range(1, len(run) - 2, _START_STEPS):
+            span = (len(run) - 2 - k) * _TURN_STEP
+            if span < _MIN_TURN:
+                break
+            start = postures[run[k]]
+            before = _joints_before(start.hand, start.T_pinch, start.at)
+            if before is None:
+                continue
+            start = replace(start, before=before)
+            if _can_approach(context, steady, thing, start):
+                return span, start
     return None
 
 
