@@ -14,20 +14,26 @@ from ..core.config.loader import load_config
 from ..core.config.objects.cloth import Cloth, object_keys_from_cloth
 from ..core.config.objects.generated import object_from_shape
 from ..core.config.objects.object_config import ObjectConfig
+from ..core.config.objects.shapes import VesselShape
 from ..core.config.scene import Table
 from ..core.files.resources import Locations
 from ..core.geometry.se3 import Array
 from ..core.scene.compiled import CompiledScene
 from ..core.sim.cloth import crumple_cloth
+from .lids import LID_CONFIGS, OPEN, container_with_ears, lid_between_ears, lidded_container
 
 # Asset -> object config. Compartments are parts of the tray, and cloth is in `CLOTH_CONFIGS`.
 _OBJECT_CONFIGS = {
     name: f"kitchen_{name}"
     for name in (
         "spoon", "fork", "knife", "plate", "bowl", "cup", "tray", "dish_rack", "utensil", "produce_item",
-        "distractor",
+        "distractor", "jar", "bottle", "food_container", "pot",
     )
 }  # fmt: skip
+# Container -> config of its lid. A pot's lid is round, and made from that of the food container.
+_LIDS = {**LID_CONFIGS, "pot": "kitchen_lid"}
+_LID_ASSET = "lid"
+_POT_RIM = 4.0  # mm, from a pot's inner wall to the rim under its lid
 
 #: The asset whose objects are parts of the tray.
 COMPARTMENT = "compartment"
@@ -37,7 +43,17 @@ _COURGETTE_BODY = {"stuff": "fruit", "rgba": [0.24, 0.42, 0.16, 1], "specular": 
 
 _RIM_GRASP_DEPTH = 0.012  # m below a cup's rim, of the grasp for nesting the cup
 _RACK_LENGTH_WITHOUT_SLOTS = 40.0  # mm of a rack's length without slots
-_SCALED_KEYS = ("diameter_mm", "height_mm", "foot_mm", "fillet_mm", "stalk_mm", "mass_g")  # all sizes except the walls
+_SCALED_KEYS = (
+    "diameter_mm",
+    "height_mm",
+    "foot_mm",
+    "fillet_mm",
+    "stalk_mm",
+    "mass_g",
+    "neck_mm",
+    "shoulder_mm",
+    "slope_mm",
+)  # all sizes except the walls
 
 #: The kind of KitchenBench's goals in which cloth is folded.
 FOLD_GOAL_KIND = "fold"
@@ -83,6 +99,62 @@ def object_config_of(
     return ObjectConfig.model_validate({**data, **made})
 
 
+def container_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Locations) -> ObjectConfig:
+    """Return the config of an object in a scene with lids: a container with its lid on, an open one, or a lid alone.
+
+    Raise LookupError if yamsim has none for the asset.
+    """
+    if blueprint.target_kind == OPEN:
+        if item.asset not in LID_CONFIGS:
+            raise LookupError(
+                f"object {item.name!r}: asset {item.asset!r} has no lid that opens; valid: {', '.join(LID_CONFIGS)}"
+            )
+        base = object_config_of(item, blueprint.conditions, locations)
+        lid = _lid_config_of(item, base, locations)
+        if item.asset == "food_container":
+            base = _with_shape(base, container_with_ears(_shape_data(base)))
+            lid = _with_shape(lid, lid_between_ears(_shape_data(lid)))
+        return lidded_container(base, item.asset, lid, blueprint)
+    if item.asset != _LID_ASSET:
+        return object_config_of(item, blueprint.conditions, locations)
+    container = next(one for one in blueprint.objects if one.name == item.parent)
+    base = object_config_of(container, blueprint.conditions, locations)
+    return _lid_config_of(container, base, locations).with_name(item.name)
+
+
+def _lid_config_of(container: SceneObject, base: ObjectConfig, locations: Locations) -> ObjectConfig:
+    """Return the lid of a container of the config `base`, which has the sizes that the scene requires."""
+    lid = load_config(ObjectConfig, "objects", _LIDS[container.asset], locations)
+    data = _shape_data(lid)
+    if container.asset == "pot":
+        assert isinstance(base.shape, VesselShape)
+        across = base.shape.diameter_mm
+        rim = base.shape.wall_mm + _POT_RIM
+        data |= {"size_mm": [across, across, data["size_mm"][2]], "corner_mm": across / 2 - 0.5, "inset_mm": rim}
+        return _with_shape(lid, data)
+    factor = (container.size_cm or 0.0) / ASSETS[container.asset].footprint_w_cm or 1.0
+    return _with_shape(lid, {**data, **_scaled_sizes(data, factor)})
+
+
+def _shape_data(item: ObjectConfig) -> dict[str, Any]:
+    assert item.shape is not None, "the kitchen's things are made from sizes"
+    return item.shape.model_dump(mode="json", exclude_none=True)
+
+
+def _with_shape(item: ObjectConfig, shape: Mapping[str, Any]) -> ObjectConfig:
+    data = {"name": item.name, "shape": dict(shape)}
+    checked = ObjectConfig.model_validate({**item.model_dump(mode="json", exclude_none=True), **data})
+    assert checked.shape is not None
+    return ObjectConfig.model_validate({**data, **object_from_shape(item.name, checked.shape)})
+
+
+def _scaled_sizes(shape: Mapping[str, Any], factor: float) -> dict[str, Any]:
+    grown = {key: value * factor for key, value in shape.items() if key in _SCALED_KEYS}
+    if "size_mm" in shape:
+        grown["size_mm"] = [value * factor for value in shape["size_mm"]]
+    return grown
+
+
 def _grasp_under_rim(grasp: dict[str, Any], shape: Mapping[str, Any]) -> dict[str, Any]:
     """Prefer grasp points just under the rim, for a cup that goes into another cup by two thirds."""
     height, opening = shape["height_mm"] / 1000 - _RIM_GRASP_DEPTH, shape["diameter_mm"] / 2000
@@ -107,11 +179,7 @@ def _scaled_shape(item: SceneObject, shape: dict[str, Any], conditions: Mapping[
         return {
             "family": "block", "size_mm": sides, "corner_mm": 20, "edge_mm": 10, "materials": {"body": _COURGETTE_BODY}
         }  # fmt: skip
-    factor = item.size_cm / nominal.footprint_w_cm
-    grown = {key: value * factor for key, value in shape.items() if key in _SCALED_KEYS}
-    if "size_mm" in shape:
-        grown["size_mm"] = [value * factor for value in shape["size_mm"]]
-    return {**shape, **grown}
+    return {**shape, **_scaled_sizes(shape, item.size_cm / nominal.footprint_w_cm)}
 
 
 def is_folded_in_thirds(blueprint: SceneBlueprint, item: SceneObject) -> bool:

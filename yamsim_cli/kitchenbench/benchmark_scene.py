@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint
+from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
 
 from ..core.attempt_data import ObjectLayout
 from ..core.config.goals.role_assignment import RoleAssignment
@@ -34,17 +34,19 @@ from .asset_configs import (
     CRUMPLE_CONDITION,
     FOLD_GOAL_KIND,
     cloth_config_of,
+    container_config_of,
     crumpled_start,
     object_config_of,
     table_for_sheet,
 )
+from .lids import LID_CONDITIONS, OPEN, SEAL, stiffen_lid_friction
 from .object_poses import BESIDE, T_in_world, feasible_poses, origin_in_world
 
 STATION_RIG = "yam_station_linear_4310_d405"  # name of the rig's config
 TICK_HZ = 30  # Hz, control ticks
 
 #: Kinds of KitchenBench's goals whose scenes can be built.
-GOAL_KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD_GOAL_KIND})
+GOAL_KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD_GOAL_KIND, OPEN, SEAL})
 _HANDED_OVER = "handoff"  # a cup is not put into another object
 
 _PLACEHOLDER_TASK = "tower"  # replaced by a scene of KitchenBench
@@ -59,7 +61,14 @@ _MAX_OFFSET_MM = 5.0  # mm; an object that rests farther from its required place
 
 # Conditions of a blueprint that depend on how a policy acts, and conditions that built scenes fulfil.
 _POLICY_CONDITIONS = frozenset(
-    {"slot_index", "handoff_height_cm", "approach_angle_deg", "approach_tilt_deg", "release_x_cm"}
+    {
+        "slot_index",
+        "handoff_height_cm",
+        "approach_angle_deg",
+        "approach_tilt_deg",
+        "release_x_cm",
+        "brace_force_n",
+    }
 )
 _REALIZED_CONDITIONS = frozenset({"slot_width_cm", CRUMPLE_CONDITION})
 
@@ -138,18 +147,14 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
             f"valid: {', '.join(sorted(GOAL_KINDS))}"
         )
     things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
-    nests = blueprint.target_kind != _HANDED_OVER
-    objects = [
-        cloth_config_of(item, blueprint, base.locations)
-        if item.asset in CLOTH_CONFIGS or blueprint.target_kind == FOLD_GOAL_KIND
-        else object_config_of(item, blueprint.conditions, base.locations, nests)
-        for item in things
-    ]
+    objects = [_config_of(item, blueprint, base) for item in things]
     config = base.config
     task = _make_task(blueprint, config, {item.name: item for item in objects})
     scene = config.scene.model_copy(update={"table": table_for_scene(config, blueprint)})
     roles = _role_assignment(blueprint)
     simulator = Simulator(base.with_values(task=task, scene=scene), roles)
+    if blueprint.target_kind == OPEN:
+        stiffen_lid_friction(simulator.scene.model)
     wanted = {item.name: T_in_world(item, blueprint) for item in things}
     start = settle_objects(
         simulator.scene, _lower_objects(simulator, feasible_poses(simulator, blueprint)), task.timing.timestep
@@ -162,6 +167,14 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
     return BenchmarkScene(
         blueprint, simulator, start, _container_regions(blueprint), offsets, _unrealized_conditions(blueprint, offsets)
     )
+
+
+def _config_of(item: SceneObject, blueprint: SceneBlueprint, base: Session) -> ObjectConfig:
+    if item.asset in CLOTH_CONFIGS or blueprint.target_kind == FOLD_GOAL_KIND:
+        return cloth_config_of(item, blueprint, base.locations)
+    if blueprint.target_kind in (OPEN, SEAL):
+        return container_config_of(item, blueprint, base.locations)
+    return object_config_of(item, blueprint.conditions, base.locations, blueprint.target_kind != _HANDED_OVER)
 
 
 def _horizontal_position(scene: CompiledScene, qpos: Array, name: str) -> Array:
@@ -251,7 +264,7 @@ def _unrealized_conditions(blueprint: SceneBlueprint, offsets: Mapping[str, floa
     for name, value in blueprint.conditions.items():
         if name in _POLICY_CONDITIONS:
             lines.append(f"{name}={value}: up to the policy, and not enforced")
-        elif name not in _REALIZED_CONDITIONS:
+        elif name not in _REALIZED_CONDITIONS and not (blueprint.target_kind == OPEN and name in LID_CONDITIONS):
             lines.append(f"{name}={value}: not simulated")
     for item in blueprint.objects:
         if item.amount_g is not None:

@@ -14,6 +14,7 @@ from ..core.geometry.se3 import Array, invert_pose, pose, rotation_z
 from ..core.scene.start_sampling import footprint_corners, footprint_distance
 from ..core.sim.sim_world import make_sim_world
 from .asset_configs import COMPARTMENT, FOLD_GOAL_KIND
+from .lids import LID, OPEN, SEAL, SNAP_ASSET
 
 #: Position of the blueprints' origin in `world`: ahead and to the left of the midpoint between the arms' bases, m.
 #: Scenes extend from there to the right, so this centres most objects before the arms.
@@ -21,8 +22,18 @@ AHEAD, BESIDE = 0.35, 0.25
 #: Position of that origin, m, for scenes with cloth, which lies around the origin and needs both arms.
 CLOTH_AHEAD, CLOTH_BESIDE = 0.45, 0.0
 
+#: Position of that origin, m, for containers with lids, which stand around it and need both arms.
+LID_AHEAD, LID_BESIDE = 0.38, 0.0
+
+#: Position of that origin, m, for screw lids: the left hand points down onto a lid, and the right hand comes from the
+#: side. In the middle between the arms, their wrist cameras would touch.
+SCREW_AHEAD, SCREW_BESIDE = 0.34, 0.20
+#: Position of that origin, m, for snap lids: both hands point down, onto the lid and onto an ear of the container.
+SNAP_AHEAD, SNAP_BESIDE = 0.30, 0.0
+
 _STEP = 0.002  # m, of displacements
 _RACK_GAP = 0.005  # m, between a rack and a displaced object
+_LID_GAP = 0.03  # m, between a container and its lid beside it
 _WALL_THICKNESS = 0.005  # m, thickness of a tray's walls
 _FINGER_CLEARANCES = (0.010, 0.003)  # m, between a wall and a displaced object, in the order tried
 _MAX_OVERLAP_SHIFT = 0.02  # m, accepted displacement to avoid an overlap with another object
@@ -30,7 +41,12 @@ _MAX_OVERLAP_SHIFT = 0.02  # m, accepted displacement to avoid an overlap with a
 
 def origin_in_world(blueprint: SceneBlueprint) -> tuple[float, float]:
     """Return the position of a blueprint's origin in `world`, m."""
-    return (CLOTH_AHEAD, CLOTH_BESIDE) if blueprint.target_kind == FOLD_GOAL_KIND else (AHEAD, BESIDE)
+    if blueprint.target_kind == FOLD_GOAL_KIND:
+        return (CLOTH_AHEAD, CLOTH_BESIDE)
+    if blueprint.target_kind == OPEN:
+        snaps = any(item.asset == SNAP_ASSET for item in blueprint.objects)
+        return (SNAP_AHEAD, SNAP_BESIDE) if snaps else (SCREW_AHEAD, SCREW_BESIDE)
+    return (LID_AHEAD, LID_BESIDE) if blueprint.target_kind == SEAL else (AHEAD, BESIDE)
 
 
 def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
@@ -65,6 +81,8 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
                 < _RACK_GAP
             ):
                 T[1, 3] += away
+    if blueprint.target_kind == SEAL:
+        _put_lid_beside(places, room, blueprint.roles[LID][0], blueprint.roles["container"][0])
     for tray in blueprint.roles.get("tray", ()):
         middles = [item.x_cm / 100 for item in blueprint.objects if item.parent == tray]
         for name in places:
@@ -76,6 +94,16 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
                 places[name] = min(free, key=partial(_displacement_cost, places[name], room[name], others))
                 _displace_from_tray(name, places, wanted, room, tray)
     return places
+
+
+def _put_lid_beside(places: dict[str, Array], room: Mapping[str, Array], lid: str, container: str) -> None:
+    """Displace a lid to the side until it lies beside its container: on it, the lid would count as sealed."""
+    T = places[lid]
+    away = math.copysign(_STEP, T[1, 3] - places[container][1, 3])
+    while footprint_distance(footprint_corners(room[lid], T), footprint_corners(room[container], places[container])) < (
+        _LID_GAP
+    ):
+        T[1, 3] += away
 
 
 def _displace_from_tray(

@@ -13,6 +13,7 @@ from ..core.scene.compiled import GeomOwnerKind
 from ..core.sim.geom_shapes import geom_aabb
 from ..core.sim.sim_world import SimWorld
 from .benchmark_scene import BenchmarkScene
+from .lids import LID
 from .scene_stepper import SceneStepper
 from .yamsim_scene import YamsimTaskScene
 
@@ -72,6 +73,9 @@ class KitchenWorld:
         self._model, self._data = compiled.model, motion.data
         names = list(compiled.object_names)
         self._masses = {item.name: 1000 * item.inertia.mass for item in simulator.config.task.objects}
+        self._lidded = {
+            item.name for item in simulator.config.task.objects if any(link.name == LID for link in item.links)
+        }
         self.scene: SimWorld = motion.episode.world
         self._names = {*names, *realization.regions}
         fingers = np.isin(compiled.geom_kind, (GeomOwnerKind.LEFT_FINGER, GeomOwnerKind.RIGHT_FINGER)) & (
@@ -100,9 +104,11 @@ class KitchenWorld:
         return self._masses[substance] * self.contained_fraction(substance, container)
 
     def opening_fraction(self, name: str) -> float:
-        """Return 0: no object has a part that opens."""
-        self._require_known(name)
-        return 0.0
+        """Return how far a container's lid is open, measured at its joint, 0 shut .. 1 off; 0 without such a lid."""
+        known = self._require_known(name)
+        if known not in self._lidded:
+            return 0.0
+        return float(np.clip(self.scene.joint_opening(known, LID), 0.0, 1.0))
 
     def _require_known(self, name: str) -> str:
         if name not in self._names:

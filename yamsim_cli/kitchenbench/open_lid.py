@@ -1,0 +1,289 @@
+"""Open a container's lid with two hands: one steadies the container, the other unscrews the lid or pulls it off."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field, FiniteFloat
+
+from ..core.attempt_data import FailureCause
+from ..core.config.goals.role_assignment import RoleAssignment
+from ..core.config.objects.articulation import Handle, Link
+from ..core.expert.skills.common_motions import CLOSING_TICKS, park_hand, release_and_retreat
+from ..core.expert.skills.grasp_candidates import is_orientation_plausible
+from ..core.expert.skills.hand import WAYPOINT_TOLERANCE, Hand
+from ..core.expert.skills.planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
+from ..core.expert.skills.skill import Skill
+from ..core.geometry.se3 import Array, pose, rotation_from_vector, rotation_z
+from .lids import LID
+
+_FORCE = 50.0  # N, asked of each finger. Source: I2RT's SDK limits grippers to 50 N per finger
+_APPROACH = 0.04  # m, length of the straight approach to a handle
+_CLEARANCE = 0.008  # m, additional opening of each finger before closing and after release
+_MAX_JOINT_STEP = 0.6  # rad, of a joint in one step of a turn; more is another posture
+_TURN_SPEED = 3.0  # rad/s, of a hand that turns a lid
+_BACK_SPEED = 3.5  # rad/s, of a hand that turns back around the lid
+_TURN_STEP = math.radians(8)  # rad, between the angles of a turn at which contacts are checked
+_START_STEPS = 2  # steps of a turn between grasps that are tried to begin it
+_SIMILAR_TURN = math.radians(5)  # rad; a longer turn is preferred if it gains more than this
+_APPROACH_CHECKS = 4  # postures of an approach at which contacts are checked
+_MIN_TURN = math.radians(25)  # rad, shortest turn of a hand that is tried
+_MIN_GAIN = 0.1  # share of the hand's turn by which the lid has to turn; else it slips between the fingers
+_MAX_TURNS = 14  # grasps of a screw lid
+_PULL_SPEED = 0.05  # m/s
+_MAX_PRESS = 0.07  # m, of the command of the hand that steadies, below its grasp
+_EXTRA_PULL, _MAX_PULLS = (
+    0.02,
+    6,
+)  # m and count: both arms yield by 2 to 3 mm per newton, so a pull goes farther than the lid
+
+
+@dataclass(frozen=True)
+class _Reach:
+    """A hand's joints (dof,) before and at a grasp, rad, its pinch pose (4, 4), and its opening on the way, m."""
+
+    hand: Hand
+    handle: Handle
+    T_pinch: Array
+    before: Array
+    at: Array
+
+    @property
+    def opening(self) -> float:
+        return min(self.handle.opening + _CLEARANCE, self.hand.max_opening)
+
+
+class OpenLid(Skill):
+    """Open the lid of a container until its joint is open by the share `to`.
+
+    One hand grasps a handle of the container and steadies it. The other hand grasps a handle of the lid from above. It
+    turns a screw lid, several times if needed, and pulls any other lid up.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    thing: str
+    to: Annotated[FiniteFloat, Field(ge=0, le=1)] = 0.8
+
+    def run(
+        self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
+    ) -> Iterator[MotionSegment]:
+        """Do nothing if the lid is open already; see `Skill.run`."""
+        thing = roles.object_of(self.thing)
+        if self._is_open(context, thing):
+            return
+        link = next(link for link in context.object_configs[thing].links if link.name == LID)
+        steady, grip, turn = self._find_grasps(context, thing, link)
+        yield from _approach(context, steady)
+        yield _close_fingers(context, steady)
+        yield from _approach(context, grip)
+        if link.joint.type == "screw":
+            yield from self._unscrew(context, thing, link, grip, turn)
+        else:
+            yield from self._pull(context, thing, link, grip, steady)
+        opened = context.world.joint_opening(thing, LID)
+        for reach in (grip, steady):
+            yield from release_and_retreat(context, reach.hand, _CLEARANCE)
+            yield from park_hand(context, reach.hand)
+        if opened < self.to:
+            raise SkillFailedError(
+                FailureCause.SLIPPED, f"the lid of the {thing} slips between the fingers; it is {opened:.0%} open"
+            )
+
+    def _is_open(self, context: PlanningContext, thing: str) -> bool:
+        return context.world.joint_opening(thing, LID) >= self.to
+
+    def _find_grasps(self, context: PlanningContext, thing: str, link: Link) -> tuple[_Reach, _Reach, float]:
+        """Return grasps of the container and of its lid that leave both hands room, and the angle of a turn, rad."""
+        T_lid, T_base = context.world.part_pose(thing, LID), context.world.pose(thing)
+        best: tuple[float, _Reach, _Reach] | None = None
+        fault = "no two arms reach it and its lid without contact"
+        for opener, steadier in itertools.permutations(context.free_hands("any"), 2):
+            grips = list(_reaches(context, opener, thing, link.handles, T_lid))
+            if not grips:
+                fault = f"the {opener.side} arm does not reach its lid"
+                continue
+            if link.joint.type == "screw":
+                turns = list(_possible_turns(grips))
+            for steady in _reaches(context, steadier, thing, context.object_configs[thing].handles, T_base):
+                if link.joint.type != "screw":
+                    # A lid that is pulled near the hand that steadies tips the container least.
+                    grips.sort(key=lambda grip: float(np.linalg.norm(grip.T_pinch[:3, 3] - steady.T_pinch[:3, 3])))
+                    for grip in grips:
+                        lever = float(np.linalg.norm((grip.T_pinch - steady.T_pinch)[:2, 3]))
+                        if (best is None or lever < -best[0]) and _can_approach(context, steady, thing, grip):
+                            best = (-lever, steady, grip)
+                    continue
+                for postures in turns:
+                    found = _longest_turn(context, steady, thing, postures)
+                    if found is not None and (best is None or found[0] > best[0] + _SIMILAR_TURN):
+                        best = (found[0], steady, found[1])
+        if best is None:
+            raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to open the {thing}: {fault}")
+        return best[1], best[2], best[0]
+
+    def _unscrew(
+        self, context: PlanningContext, thing: str, link: Link, grip: _Reach, turn: float
+    ) -> Iterator[MotionSegment]:
+        """Yield the turns of a hand up to `turn`, rad. In between, the hand turns back with open fingers."""
+        hand, whole, lead = grip.hand, math.radians(link.joint.range[1]), (link.joint.pitch or 0.0) / (2 * math.pi)
+        rise = 0.0  # m, of the lid
+        for _ in range(_MAX_TURNS):
+            before = context.world.joint_opening(thing, LID) * whole
+            yield _close_fingers(context, grip)
+            # The lid lags behind the hand by a little.
+            angle = min(turn, ((self.to + 0.05) * whole - before) * 1.05)
+            higher = rise + lead * angle
+            path = context.plan_curve(
+                hand, _turn_about_vertical(grip.T_pinch, (0.0, angle), (rise, higher)), angle / _TURN_SPEED
+            )
+            yield context.make_segment({hand: path})
+            gained = context.world.joint_opening(thing, LID) * whole - before
+            if self._is_open(context, thing) or gained < _MIN_GAIN * angle:
+                return
+            yield context.make_segment(
+                {hand: context.hold_still_motion(hand, CLOSING_TICKS)},
+                {hand: FingerTarget(grip.opening)},
+                wait_for_arrival=False,
+            )
+            rise += lead * gained
+            back = _turn_about_vertical(grip.T_pinch, (angle, 0.0), (higher, rise))
+            path = context.plan_curve(hand, back, angle / _BACK_SPEED)
+            yield context.make_segment({hand: path}, wait_for_arrival=False)
+
+    def _pull(
+        self, context: PlanningContext, thing: str, link: Link, grip: _Reach, steady: _Reach
+    ) -> Iterator[MotionSegment]:
+        """Yield the motions of two hands: one pulls a lid up, the other presses the container onto the table."""
+        travel = (self.to + 0.05) * link.joint.range[1]
+        yield _close_fingers(context, grip)
+        for number in range(_MAX_PULLS):
+            T_up, T_down = grip.T_pinch.copy(), steady.T_pinch.copy()
+            T_up[2, 3] += travel + number * _EXTRA_PULL
+            T_down[2, 3] -= min((number + 1) * _EXTRA_PULL, _MAX_PRESS)
+            paths = {
+                grip.hand: context.plan_line(grip.hand, T_up, _PULL_SPEED),
+                steady.hand: context.plan_line(steady.hand, T_down, _PULL_SPEED),
+            }
+            yield context.make_segment(paths)
+            if self._is_open(context, thing):
+                return
+
+
+def _reaches(
+    context: PlanningContext, hand: Hand, thing: str, handles: Sequence[Handle], T_part: Array
+) -> Iterator[_Reach]:
+    """Yield the ways in which a hand reaches handles without contact, with the fingers either way around."""
+    for handle, turn in itertools.product(handles, (0.0, math.pi)):
+        T_pinch = T_part @ handle.T_pinch_in_part @ pose(rotation=rotation_from_vector([0.0, 0.0, turn]))
+        if not is_orientation_plausible(T_pinch, hand.arm.T_base_in_world):
+            continue
+        opening = min(handle.opening + _CLEARANCE, hand.max_opening)
+        at = hand.solve_ik(T_pinch, (hand.joints, hand.ready_joints))
+        if at is None or context.find_contact(hand, at, opening, grasped=thing):
+            continue
+        before = _joints_before(hand, T_pinch, at)
+        if before is not None and context.find_contact(hand, before, opening) is None:
+            yield _Reach(hand, handle, T_pinch, before, at)
+
+
+def _joints_before(hand: Hand, T_pinch: Array, at: Array) -> Array | None:
+    return hand.solve_ik(T_pinch @ pose((0.0, 0.0, -_APPROACH)), (at,), WAYPOINT_TOLERANCE)
+
+
+def _is_blocked(
+    context: PlanningContext, steady: _Reach, thing: str, hand: Hand, joints: Array, opening: float
+) -> bool:
+    """Return whether a hand with `joints` has a contact while another one steadies the object."""
+    qpos = context.qpos_with_hand(steady.hand, steady.at, steady.handle.opening, None)
+    return context.collision_checker.find_contact(qpos, hand.number, joints, opening, grasped=thing) is not None
+
+
+def _can_approach(context: PlanningContext, steady: _Reach, thing: str, grip: _Reach) -> bool:
+    """Return whether a hand can approach a lid while another one steadies the container."""
+    way = np.linspace(grip.before, grip.at, _APPROACH_CHECKS)
+    return not any(_is_blocked(context, steady, thing, grip.hand, joints, grip.opening) for joints in way)
+
+
+def _possible_turns(grips: Sequence[_Reach]) -> Iterator[list[_Reach]]:
+    """Yield turns of a hand around a lid, each as its grasps in steps of `_TURN_STEP`, as far as the arm reaches.
+
+    Grasps that a turn includes begin no turn of their own.
+    """
+    included: list[Array] = []
+    for grip in grips:
+        if any(np.abs(grip.T_pinch[:3, :3] - T[:3, :3]).max() < _TURN_STEP for T in included):
+            continue
+        postures = [*reversed(list(_turn_one_way(grip, -_TURN_STEP))), grip, *_turn_one_way(grip, _TURN_STEP)]
+        included += [posture.T_pinch for posture in postures]
+        yield postures
+
+
+def _turn_one_way(grip: _Reach, step: float) -> Iterator[_Reach]:
+    hand, joints = grip.hand, grip.at
+    for k in range(1, int(2 * math.pi / abs(step))):
+        T_pinch = grip.T_pinch.copy()
+        T_pinch[:3, :3] = rotation_z(k * step) @ grip.T_pinch[:3, :3]
+        found = hand.solve_ik(T_pinch, (joints,))
+        if found is None or np.abs(found - joints).max() > _MAX_JOINT_STEP:
+            return
+        joints = found
+        yield _Reach(hand, grip.handle, T_pinch, joints, joints)
+
+
+def _longest_turn(
+    context: PlanningContext, steady: _Reach, thing: str, postures: Sequence[_Reach]
+) -> tuple[float, _Reach] | None:
+    """Return the longest part of a turn that is free of contacts, rad, and the grasp where it begins."""
+    free = [not _is_blocked(context, steady, thing, one.hand, one.at, one.opening) for one in postures]
+    runs = [(key, list(group)) for key, group in itertools.groupby(range(len(free)), free.__getitem__)]
+    for _, run in sorted((item for item in runs if item[0]), key=lambda item: -len(item[1])):
+        # One step at each end is the distance from the next contact.
+        for k in range(1, len(run) - 2, _START_STEPS):
+            span = (len(run) - 2 - k) * _TURN_STEP
+            if span < _MIN_TURN:
+                break
+            start = postures[run[k]]
+            before = _joints_before(start.hand, start.T_pinch, start.at)
+            if before is None:
+                continue
+            start = replace(start, before=before)
+            if _can_approach(context, steady, thing, start):
+                return span, start
+    return None
+
+
+def _turn_about_vertical(
+    T_pinch: Array, angles: tuple[float, float], rises: tuple[float, float]
+) -> Callable[[float], Array]:
+    """Return a path of poses (4, 4) about the vertical through the pinch: from 0 to 1 between two angles, rad.
+
+    The path leads between two heights over `T_pinch`, m.
+    """
+
+    def pose_at(share: float) -> Array:
+        T = T_pinch.copy()
+        T[:3, :3] = rotation_z(angles[0] + share * (angles[1] - angles[0])) @ T_pinch[:3, :3]
+        T[2, 3] += rises[0] + share * (rises[1] - rises[0])
+        return T
+
+    return pose_at
+
+
+def _approach(context: PlanningContext, reach: _Reach) -> Iterator[MotionSegment]:
+    hand = reach.hand
+    yield context.make_segment(
+        {hand: context.plan_free_path(hand, reach.before, reach.opening)}, {hand: FingerTarget(reach.opening)}
+    )
+    yield context.make_segment({hand: context.plan_line(hand, reach.T_pinch)})
+
+
+def _close_fingers(context: PlanningContext, reach: _Reach) -> MotionSegment:
+    closing = FingerTarget(reach.handle.opening, _FORCE)
+    return context.make_segment(
+        {reach.hand: context.hold_still_motion(reach.hand, CLOSING_TICKS)}, {reach.hand: closing}
+    )
