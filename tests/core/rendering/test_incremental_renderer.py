@@ -16,6 +16,7 @@ from yamsim_cli.core.episode.execution import simulate_expert
 from yamsim_cli.core.episode.sampling import sample_attempt
 from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.geometry.se3 import Array, rotation_z
+from yamsim_cli.core.rendering import shadow_shaders
 from yamsim_cli.core.rendering.incremental_renderer import IncrementalRenderer
 from yamsim_cli.core.rendering.pixel_boxes import PixelBox, Projection, ShadowTable, ShadowVolumes, box_corners, union
 from yamsim_cli.core.rendering.renderer import SceneRenderer
@@ -98,6 +99,29 @@ def test_smooth_shadows_differ_only_at_edges_of_shadows_and_have_grey_levels() -
     edge = difference[difference > 1]
     assert len(np.unique(edge)) > 10
     assert np.median(edge) < edge.max() / 2
+
+
+@pytest.mark.render
+def test_without_the_programs_shadows_have_steps_and_a_warning_says_so(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refuse(*arguments: Any) -> int:
+        raise RuntimeError("no GLSL 1.20")
+
+    with SimulatorCache(open_session(task="pickplace")) as simulators:
+        simulator = simulators.get(AttemptJob(0, 0))
+        model, (camera, *_) = simulator.scene.model, simulator.scene.cameras
+        start = sample_attempt(simulator, AttemptJob(0, 0)).start
+        assert start is not None
+        pictures = []
+        for smooth in (False, True):
+            monkeypatch.setattr(shadow_shaders, "_link", refuse)
+            shadow_shaders.warn_of_stepped_shadows.cache_clear()
+            with SceneRenderer(model, SIZE, smooth_shadows=smooth) as renderer:
+                pictures.append(draw_all(renderer, model, [start, start], [camera]))
+            assert ("no GLSL 1.20" in caplog.text) == smooth
+    np.testing.assert_array_equal(*pictures)
+    assert len(caplog.records) == 1
 
 
 @pytest.mark.render

@@ -19,7 +19,7 @@ from ..geometry.se3 import Array, pose
 from .geom_display_lists import Builtin, DrawMode, GeomDisplayLists
 from .opengl import OpenGlFunctions, address, floats
 from .pixel_boxes import PixelBox, Projection, ShadowTable, ShadowVolumes, box_corners, overlaps, union
-from .shadow_shaders import ShadowShaders
+from .shadow_shaders import ShadowShaders, warn_of_stepped_shadows
 
 _Floats = NDArray[np.float32]
 GEOM, FLEX = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtObj.mjOBJ_FLEX)
@@ -35,7 +35,9 @@ _DRAWN_TYPES = {
 }
 _MIN_UPWARD_NORMAL = 0.999  # least vertical part of a plane's normal; shadows end on the lowest plane
 _OPAQUE = 0.995  # smallest alpha of a geom that MuJoCo draws as opaque
-_POLYGON_OFFSET = (-1.5, -4.0)  # factor and units that MuJoCo uses for shadow maps
+# Factor and units of the offset away from the light in a shadow map: MuJoCo's, and with smooth edges. Twice MuJoCo's
+# factor keeps surfaces that slope to the light from shading themselves through the wider filter.
+_POLYGON_OFFSET, _SMOOTH_POLYGON_OFFSET = (-1.5, -4.0), (-3.0, -4.0)
 _SKY_DISTANCE = np.float32(0.70)  # distance of the sky from the camera, as a fraction of the far clipping distance
 _IMAGE_MARGIN, _SHADOW_MARGIN = 2, 3  # px and texels around a geom, for rounding
 
@@ -197,8 +199,8 @@ class IncrementalRenderer:
         if self._smooth and light is not None:
             try:
                 self._shaders = ShadowShaders(self._gl, scene.nlight, light, self._context.shadowSize)
-            except RuntimeError:  # OpenGL cannot link the programs
-                return None
+            except RuntimeError as error:
+                warn_of_stepped_shadows(str(error))
         self._lists = GeomDisplayLists(self._gl, self._context, geoms, self._shaders)
         return _Layout(ids, geom_ids, is_flex, casts, planes, aabb, np.flatnonzero(boxes), light)
 
@@ -365,7 +367,7 @@ class IncrementalRenderer:
         gl.glColorMask(0, 0, 0, 0)
         gl.glDisable(GL.GL_CULL_FACE)
         gl.glEnable(GL.GL_POLYGON_OFFSET_FILL)
-        gl.glPolygonOffset(*_POLYGON_OFFSET)
+        gl.glPolygonOffset(*(_POLYGON_OFFSET if self._shaders is None else _SMOOTH_POLYGON_OFFSET))
         self._draw_geoms(
             view,
             np.flatnonzero((overlaps(boxes, box) | self._layout.is_plane) & self._layout.casts_shadow),
@@ -406,12 +408,17 @@ class IncrementalRenderer:
         gl.glEnable(GL.GL_SCISSOR_TEST)
         gl.glScissor(*box)
         gl.glClear(GL.GL_COLOR_BUFFER_BIT | GL.GL_DEPTH_BUFFER_BIT)
+        # MuJoCo draws floor and table first, and a later geom wins where depths are equal. From last to first, most
+        # pixels are shaded once; a strict test keeps the winner.
+        drawn = drawn[::-1]
+        gl.glDepthFunc(GL.GL_GREATER)
         if self._shaders is not None:
             gl.glActiveTexture(GL.GL_TEXTURE1)
             gl.glBindTexture(GL.GL_TEXTURE_2D, self._context.shadowTex)
             self._shaders.use((self._shadow_matrix @ np.linalg.inv(self._camera_matrix())).astype(np.float32))
             self._draw_geoms(view, drawn, DrawMode.LIT)
             gl.glUseProgram(0)
+            gl.glDepthFunc(GL.GL_GEQUAL)
         else:
             self._draw_lights(view, drawn, light)
         if self._scene.flags[_SKYBOX]:
@@ -427,6 +434,7 @@ class IncrementalRenderer:
         self._draw_geoms(view, drawn, DrawMode.LIT)
         for number in lights:
             gl.glDisable(number)
+        gl.glDepthFunc(GL.GL_GEQUAL)
         if light is not None:
             self._add_shadow_light(view, drawn, GL.GL_LIGHT0 + light)
 

@@ -17,7 +17,7 @@ _POINTER = ctypes.c_void_p
 # Names of functions -> types of their arguments, as in OpenGL's specification.
 _ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "glEndList glLoadIdentity glPopMatrix glPushMatrix": (),
-    "glActiveTexture glCallList glClear glCullFace glDisable glDisableClientState glDrawBuffer": (_ENUM,),
+    "glActiveTexture glCallList glClear glCullFace glDepthFunc glDisable glDisableClientState glDrawBuffer": (_ENUM,),
     "glEnable glEnableClientState glMatrixMode glShadeModel": (_ENUM,),
     "glBindFramebuffer glBindTexture glBlendFunc glNewList": (_ENUM, _ENUM),
     "glGenLists": (_INT,),

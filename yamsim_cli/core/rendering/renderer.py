@@ -19,6 +19,7 @@ from ..errors import ResourceError
 from ..geometry.camera import Intrinsics
 from ..images.image import Image
 from .incremental_renderer import FLEX, GEOM, SHADOW, IncrementalRenderer
+from .shadow_shaders import warn_of_stepped_shadows
 from .software_renderers import is_software_renderer
 
 # Id of the process that first used OpenGL; None if none has. Forked processes inherit it, spawned ones do not.
@@ -156,7 +157,9 @@ class SceneRenderer(Closable):
     def _make_incremental_renderer(self, size: tuple[int, int], smooth: bool) -> IncrementalRenderer | None:
         try:
             return IncrementalRenderer(self._model, self._scene, self._make_context_current(), size, smooth)
-        except (AttributeError, RuntimeError):  # OpenGL lacks something
+        except (AttributeError, RuntimeError) as error:  # OpenGL lacks something
+            if smooth:
+                warn_of_stepped_shadows(str(error))
             return None
 
     def _open_contexts(self, size: tuple[int, int]) -> None:

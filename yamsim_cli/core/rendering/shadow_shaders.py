@@ -8,6 +8,8 @@ Source of the formula of light: OpenGL's specification 2.1, section 2.14.1, with
 
 from __future__ import annotations
 
+import functools
+import logging
 from enum import IntEnum
 from typing import Any
 
@@ -15,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .opengl import OpenGlFunctions, address
+
+_LOGGER = logging.getLogger("yamsim")
 
 
 class TextureKind(IntEnum):
@@ -121,6 +125,13 @@ class ShadowShaders:
         """Delete the programs."""
         for name in self.names:
             self._gl.glDeleteProgram(name)
+
+
+@functools.cache
+def warn_of_stepped_shadows(reason: str) -> None:
+    """Warn, once in a process for each reason, that edges of shadows stay steps of one texel."""
+    reason = " ".join(reason.split())
+    _LOGGER.warning("quality: smooth_shadows: this OpenGL cannot smooth shadows, so edges have steps: %s", reason)
 
 
 def _link(GL: Any, vertex: str, fragment: str) -> int:
