@@ -175,10 +175,9 @@ class StoredEpisodes(Sequence[StoredEpisode]):
 
     def arrays(self, cameras: Sequence[str] = ()) -> dict[str, NDArray[Any]]:
         """Return the `arrays` of all episodes in a row, of keys that all have, and `episode_index` (frames,)."""
-        each = [episode.arrays(cameras) for episode in self]
-        index = np.repeat(np.arange(len(each)), [len(one["timestamp"]) for one in each])
+        each = [one.arrays(cameras) | {"episode_index": np.full(one.record.frames, k)} for k, one in enumerate(self)]
         shared = [key for key in each[0] if all(key in one for one in each)] if each else []
-        return {key: np.concatenate([one[key] for one in each]) for key in shared} | {"episode_index": index}
+        return {key: np.concatenate([one[key] for one in each]) for key in shared}
 
     def __repr__(self) -> str:
         return f"<{count_noun(len(self), 'episode')} of {self.path}>"
