@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 PACKAGE = Path(__file__).resolve().parents[1] / "yamsim_cli"
-_NOT_PROSE = ("noqa", "type: ignore")  # comments for tools
+_NOT_PROSE = ("noqa", "type: ignore", "fmt:")  # comments for tools
 
 
 def main() -> None:
