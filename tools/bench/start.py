@@ -3,7 +3,8 @@
     python -m tools.bench.start [--against CHECKOUT] [--rounds 5] [--jobs NAME ...] [--json FILE]
 
 `--against` measures another checkout in alternation, with the same Python. Wall-clock time depends on what else runs on
-the machine, CPU time much less; it includes all processes that the command starts.
+the machine, CPU time much less; it includes all processes that the command starts. A second table has the CPU time of
+the parts of a start: the command and the test of OpenGL run beside the imports of the worker.
 """
 
 from __future__ import annotations
@@ -36,6 +37,29 @@ JOBS = {
     "help": ("--help",),
     "summarize": ("summarize", "{dataset}"),
 }
+
+
+# Programs that print CPU seconds of parts of a start: of this process, of its children, and of a worker.
+_COMMAND_PROGRAM = """
+import json, resource, time
+import yamsim_cli.main
+from yamsim_cli.flags.session_options import session_opener
+session_opener.open("default")
+from yamsim_cli.recording.recorder import record
+probe = resource.getrusage(resource.RUSAGE_CHILDREN)
+print(json.dumps({"command": time.process_time(), "test of OpenGL": probe.ru_utime + probe.ru_stime}))
+"""
+_WORKER_PROGRAM = """
+import json, time
+import mink, yamsim_cli.core.episode.runner
+imports = time.process_time()
+from yamsim_cli.flags.session_options import session_opener
+from yamsim_cli.core.scene.build import with_mesh_descriptions
+session = with_mesh_descriptions(session_opener.open("default"))
+began = time.process_time()
+yamsim_cli.core.episode.runner.AttemptRunner(session, render=True)
+print(json.dumps({"worker: imports": imports, "worker: scene and planner": time.process_time() - began}))
+"""
 
 
 @dataclass(frozen=True)
@@ -82,6 +106,19 @@ def run_once(checkout: Path, arguments: tuple[str, ...], dataset: Path) -> Run:
         return Run(wall if published is None else published, usage.ru_utime + usage.ru_stime)
 
 
+def measure_parts(checkouts: dict[str, Path], rounds: int) -> dict[str, dict[str, list[float]]]:
+    """Return part -> checkout -> CPU seconds; checkouts alternate."""
+    found: dict[str, dict[str, list[float]]] = {}
+    for _ in range(rounds):
+        for name, checkout in checkouts.items():
+            for program in (_COMMAND_PROGRAM, _WORKER_PROGRAM):
+                environment = os.environ | {"PYTHONPATH": str(checkout)}
+                printed = subprocess.check_output([sys.executable, "-c", program], env=environment, text=True)
+                for part, seconds in json.loads(printed).items():
+                    found.setdefault(part, {each: [] for each in checkouts})[name].append(seconds)
+    return found
+
+
 def measure(checkouts: dict[str, Path], rounds: int, jobs: list[str]) -> dict[str, dict[str, list[Run]]]:
     """Return job -> checkout -> runs. Checkouts alternate, and a first round warms up."""
     with tempfile.TemporaryDirectory(prefix="yamsim-start-") as folder:
@@ -102,7 +139,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--against", type=Path, help="root of another checkout")
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--jobs", nargs="+", choices=list(JOBS), default=list(JOBS))
+    parser.add_argument("--jobs", nargs="*", choices=list(JOBS), default=list(JOBS))
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     checkouts = {"this checkout": _HERE}
@@ -121,7 +158,15 @@ def main() -> None:
                 f"{statistics.median(walls):.2f} ({min(walls):.2f})",
                 f"{statistics.median(cpus):.2f} ({min(cpus):.2f})",
             )
-    Console(width=110).print(table)
+    console = Console(width=110)
+    console.print(table)
+    parts = measure_parts(checkouts, arguments.rounds)
+    parts_table = Table(title="Parts of a start, median CPU seconds")
+    for column in ("part", *checkouts):
+        parts_table.add_column(column)
+    for part, seconds_of in parts.items():
+        parts_table.add_row(part, *(f"{statistics.median(seconds):.2f}" for seconds in seconds_of.values()))
+    console.print(parts_table)
     if arguments.json:
         document = {
             job: {name: [[run.wall, run.cpu] for run in each] for name, each in runs.items()}

@@ -114,7 +114,7 @@ class Episode:
         self.world = make_sim_world(scene, self.data, sides) if world is None else world(self.data)
         self.world.store_start()
         self._grasp = make_grasp_simulator(scene, self._rules.weld_reach)
-        self._monitor = StepMonitor(scene, self.data, timing.physics_steps_per_tick)
+        self._monitor = StepMonitor(scene, timing.physics_steps_per_tick)
         self._held_monitor = HeldObjectSlipMonitor(scene, self.world)
         self._T_at_start = self._object_poses()
         self._ctrl: list[Array] = []
@@ -200,7 +200,7 @@ class Episode:
     def end_tick(self) -> None:
         """Judge the state after a control tick."""
         self._update_kinematics_and_contacts()
-        self._monitor.check_tick()
+        self._monitor.check_tick(self.data)
         self.ticks += 1
         self._held_monitor.measure_tick(self.world.update_handovers())
         self._evaluate_goal()
@@ -245,12 +245,11 @@ class Episode:
         if self.end is not None:
             return
         self._begin_tick(ctrl, magnet, joints)
-        data, step, check = self.data, self.scene.step, self._monitor.check_step
         for _ in range(self._timing.physics_steps_per_tick):
-            step(data)
-            check()
+            self.scene.step(self.data)
+            self._monitor.check_step(self.data)
             if self._on_step:
-                self._on_step(data)
+                self._on_step(self.data)
         self.end_tick()
 
     def _commands(self, ctrl: Array) -> Array:

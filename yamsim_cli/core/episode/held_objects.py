@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..geometry.se3 import Array, invert_pose, tilt_angle
+from ..geometry.se3 import Array, invert_pose, pose, tilt_angle
 from ..scene.compiled import CompiledScene
 from ..sim.sim_world import SimWorld
 
@@ -16,7 +16,6 @@ class HeldObjectSlipMonitor:
 
     def __init__(self, scene: CompiledScene, world: SimWorld) -> None:
         self._scene, self._world = scene, world
-        self._flanges = [scene.model.body(arm.flange).id for arm in scene.arms]
         self._ticks: dict[tuple[str, int], int] = {}
         self._position_in_hand: dict[tuple[str, int], Array] = {}
         self._T_when_grasped: dict[str, Array] = {}
@@ -40,7 +39,8 @@ class HeldObjectSlipMonitor:
         ticks = self._ticks[key] = self._ticks.get(key, 0) + 1
         T = self._world.pose(name)
         self.tilt = max(self.tilt, tilt_angle(self._T_when_grasped.setdefault(name, T)[:3, :3].T @ T[:3, :3]))
-        position = (invert_pose(self._world.body_pose(self._flanges[arm])) @ T)[:3, 3]
+        flange = self._world.data.body(self._scene.arms[arm].flange)
+        position = (invert_pose(pose(flange.xpos, flange.xmat.reshape(3, 3))) @ T)[:3, 3]
         if ticks <= SETTLED_TICKS:
             self._position_in_hand[key] = position
         self.slip = max(self.slip, float(np.linalg.norm(position - self._position_in_hand[key])))

@@ -20,10 +20,8 @@ class StepMonitor:
         breakdown: MuJoCo's first fatal warning and its time.
     """
 
-    def __init__(self, scene: CompiledScene, data: mujoco.MjData, steps: int) -> None:
-        self._scene, self._model, self._data = scene, scene.model, data
-        # Views of MuJoCo's arrays: they change with its state.
-        self._qpos_now, self._qvel_now, self._force_now = data.qpos, data.qvel, data.actuator_force
+    def __init__(self, scene: CompiledScene, steps: int) -> None:
+        self._scene, self._model = scene, scene.model
         self._qpos = np.concatenate([arm.joint_qpos for arm in scene.arms])
         self._dof = np.concatenate([arm.joint_dof for arm in scene.arms])
         self._ctrl = np.concatenate([arm.arm_ctrl for arm in scene.arms])
@@ -36,56 +34,47 @@ class StepMonitor:
         self._forces = np.empty((steps, scene.model.nu))
         self._step, self._steps = 0, 0
         self._contacts = -1
-        self._checked_pairs = b""
-        # Of each joint so far: largest speed, rad/s, and torque, N m; lowest and highest position, rad.
-        self._speeds, self._torques = np.zeros(len(self._dof)), np.zeros(len(self._ctrl))
-        self._lowest, self._highest = np.full(len(self._qpos), np.inf), np.full(len(self._qpos), -np.inf)
+        self._velocity = self._torque = 0.0
+        self._joint_margin = np.inf
         self.collision: str | None = None
         self.breakdown: str | None = None
 
-    def check_step(self) -> None:
+    def check_step(self, data: mujoco.MjData) -> None:
         """Record the state after a physics step."""
         k = self._step
-        self._positions[k], self._velocities[k], self._forces[k] = self._qpos_now, self._qvel_now, self._force_now
+        self._positions[k], self._velocities[k], self._forces[k] = data.qpos, data.qvel, data.actuator_force
         self._step, self._steps = k + 1, self._steps + 1
-        if self.collision is None:
-            contacts = self._data.ncon
-            if contacts != self._contacts or self._steps % CONTACT_STEPS == 0:
-                self._contacts = contacts
-                self._check_contacts()
+        if self.collision is None and (data.ncon != self._contacts or self._steps % CONTACT_STEPS == 0):
+            self._contacts = data.ncon
+            self._check_contacts(data)
 
-    def check_tick(self) -> None:
+    def check_tick(self, data: mujoco.MjData) -> None:
         """Evaluate the control tick after its last physics step. Without `check_step`, only breakdowns are noticed."""
         if self._step:
             self._update_margins()
         else:
             self._steps += len(self._positions)
-        if self.breakdown is None and (text := physics_failure(self._data)):
+        if self.breakdown is None and (text := physics_failure(data)):
             # MuJoCo has reset its own clock, so the time is counted in steps.
             seconds = self._steps * float(self._model.opt.timestep)
             self.breakdown = f"physics broke down within {seconds:.3f} s: {text}"
 
     def _update_margins(self) -> None:
-        steps = self._step
+        steps, low, high = self._step, self._range[:, 0], self._range[:, 1]
+        velocities = np.abs(self._velocities[:steps, self._dof]) / self._motor_speed
+        forces = np.abs(self._forces[:steps, self._ctrl]) / self._max_torque
         positions = self._positions[:steps, self._qpos]
-        np.maximum(self._speeds, np.abs(self._velocities[:steps, self._dof]).max(axis=0), out=self._speeds)
-        np.maximum(self._torques, np.abs(self._forces[:steps, self._ctrl]).max(axis=0), out=self._torques)
-        np.minimum(self._lowest, positions.min(axis=0), out=self._lowest)
-        np.maximum(self._highest, positions.max(axis=0), out=self._highest)
+        self._velocity = max(self._velocity, float(velocities.max()))
+        self._torque = max(self._torque, float(forces.max()))
+        self._joint_margin = min(self._joint_margin, float(np.minimum(positions - low, high - positions).min()))
         self._step = 0
 
     def motion_margins(self, slip: float | None = None, tilt: float | None = None) -> MotionMargins:
         """Return the margins so far, with a held object's `slip` (m) and `tilt` (rad)."""
-        joint = min((self._lowest - self._range[:, 0]).min(), (self._range[:, 1] - self._highest).min())
-        velocity, torque = (self._speeds / self._motor_speed).max(), (self._torques / self._max_torque).max()
-        return MotionMargins(float(velocity), float(torque), float(joint), slip, tilt)
+        return MotionMargins(self._velocity, self._torque, float(self._joint_margin), slip, tilt)
 
-    def _check_contacts(self) -> None:
-        data = self._data
+    def _check_contacts(self, data: mujoco.MjData) -> None:
         geoms = data.contact.geom
-        if (pairs := geoms.tobytes()) == self._checked_pairs:
-            return
-        self._checked_pairs = pairs
         forbidden = self._scene.mask_forbidden_contacts(geoms)
         if forbidden.any():
             names = " and ".join(self._model.geom(int(geom)).name for geom in geoms[forbidden][0])

@@ -11,10 +11,10 @@ from ..errors import SimulationError, YamsimError
 
 # After these warnings, MuJoCo resets the state or ignores the drives, so the simulation is no longer valid.
 _FATAL_WARNINGS = (
-    int(mujoco.mjtWarning.mjWARN_BADQPOS),
-    int(mujoco.mjtWarning.mjWARN_BADQVEL),
-    int(mujoco.mjtWarning.mjWARN_BADQACC),
-    int(mujoco.mjtWarning.mjWARN_BADCTRL),
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+    mujoco.mjtWarning.mjWARN_BADCTRL,
 )
 
 
@@ -36,9 +36,9 @@ def silence_mujoco_warnings() -> None:
 
 def physics_failure(data: mujoco.MjData) -> str | None:
     """Return MuJoCo's fatal warning since the last reset of `data`; None without one."""
-    numbers = data.warning.number
     for kind in _FATAL_WARNINGS:
-        if numbers[kind]:
-            text: str = mujoco.mju_warningText(kind, data.warning[kind].lastinfo)
+        counted = data.warning[int(kind)]
+        if counted.number:
+            text: str = mujoco.mju_warningText(kind, counted.lastinfo)
             return text.split(".")[0]
     return None

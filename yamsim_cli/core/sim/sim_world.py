@@ -62,7 +62,6 @@ class SimWorld:
         root = model.body_rootid[model.geom_bodyid]
         self._geoms = {name: np.flatnonzero(root == model.body(name).id) for name in things}
         self._geoms[TABLE] = np.array([model.geom(TABLE).id])
-        self._body_ids = {name: int(model.body(name).id) for name in things}
         self._numbers = {name: k for k, name in enumerate((*things, TABLE))}
         # Contacts of cloth have geom -1, which indexes the last entry.
         self._geom_object: Ids = np.full(model.ngeom + 1, -1)
@@ -79,10 +78,6 @@ class SimWorld:
         self._hands: dict[str, list[str]] = {name: [] for name in things}
         self._handovers: dict[str, list[tuple[str, str]]] = {name: [] for name in things}
         self._starts: dict[str, Array] = {}
-        # Which hands hold an object, and which objects touch, by the contacts and welds, the bytes of the key.
-        self._contact_key: tuple[bytes, ...] = ()
-        self._holders: dict[str, frozenset[str]] = {}
-        self._touching: dict[tuple[str, str], bool] = {}
 
     @property
     def data(self) -> mujoco.MjData:
@@ -95,7 +90,8 @@ class SimWorld:
             return self.pose(region.thing) @ region.T_in_object
         if cloth := self._cloths.get(thing):
             return cloth.pose
-        return self.body_pose(self._body_ids[thing])
+        body = self._data.body(self._require_object(thing))
+        return pose(body.xpos, body.xmat.reshape(3, 3))
 
     def handle_pose(self, thing: str, handle: str) -> Array:
         """Return the pose in `world` of a handle of an object; z points into the handle."""
@@ -139,18 +135,8 @@ class SimWorld:
     def are_touching(self, one: str, other: str) -> bool:
         """Return whether two objects touch. A contact with an object counts for all its regions."""
         one, other = (self._regions[name].thing if name in self._regions else name for name in (one, other))
-        self._forget_other_contacts()
-        if (one, other) not in self._touching:
-            first, second = (self._in_contact(name) for name in (one, other))
-            found = ((first[:, 0] & second[:, 1]) | (first[:, 1] & second[:, 0])).any()
-            self._touching[one, other] = bool(found)
-        return self._touching[one, other]
-
-    def _forget_other_contacts(self) -> None:
-        data = self._data
-        key = (data.contact.geom.tobytes(), data.eq_active.tobytes(), self._model.eq_obj2id.tobytes())
-        if key != self._contact_key or self._cloths:
-            self._contact_key, self._holders, self._touching = key, {}, {}
+        first, second = (self._in_contact(name) for name in (one, other))
+        return bool(((first[:, 0] & second[:, 1]) | (first[:, 1] & second[:, 0])).any())
 
     def _in_contact(self, thing: str) -> NDArray[np.bool_]:
         """Return whether each of the two sides of each present contact is an object (n, 2)."""
@@ -175,12 +161,6 @@ class SimWorld:
 
     def holding_sides_by_object(self) -> dict[str, frozenset[str]]:
         """Return object -> sides of the hands that hold it."""
-        self._forget_other_contacts()
-        if not self._holders:
-            self._holders = self._find_holders()
-        return self._holders
-
-    def _find_holders(self) -> dict[str, frozenset[str]]:
         pairs = self._data.contact.geom
         things, fingers = self._geom_object[pairs], self._geom_finger[pairs]
         # Whether each object touches each finger, two per arm; the last row and column stand for other geoms.
@@ -252,7 +232,7 @@ class SimWorld:
         for body, geoms in self._bodies[self._require_object(container)].items():
             if body not in self._interiors:
                 self._interiors[body] = Interior(body_surface(self._model, geoms))
-            T = self.body_pose(body)
+            T = self._body_pose(body)
             held |= self._interiors[body].contains((points - T[:3, 3]) @ T[:3, :3])
         return held
 
@@ -303,7 +283,7 @@ class SimWorld:
         root, T = int(self._model.body(self._require_object(thing)).id), invert_pose(self.pose(thing))
         return enclosing_box(
             [
-                body_box(self._model, geoms, None if body == root else T @ self.body_pose(body))
+                body_box(self._model, geoms, None if body == root else T @ self._body_pose(body))
                 for body, geoms in self._bodies[thing].items()
             ]
         )
@@ -315,8 +295,7 @@ class SimWorld:
                 bodies.setdefault(int(self._model.geom_bodyid[geom]), []).append(int(geom))
         return bodies
 
-    def body_pose(self, body: int) -> Array:
-        """Return the pose in `world` of a body, by its number in the model."""
+    def _body_pose(self, body: int) -> Array:
         return pose(self._data.xpos[body], self._data.xmat[body].reshape(3, 3))
 
     def volume_samples(self, thing: str) -> Iterator[tuple[Array, float]]:
@@ -327,7 +306,7 @@ class SimWorld:
         for body, geoms in self._bodies[self._require_object(thing)].items():
             if body not in self._volumes:
                 self._volumes[body] = geom_points(self._model, geoms, _VOLUME_POINTS)
-            T, (points, volume) = self.body_pose(body), self._volumes[body]
+            T, (points, volume) = self._body_pose(body), self._volumes[body]
             yield points @ T[:3, :3].T + T[:3, 3], volume
 
 
