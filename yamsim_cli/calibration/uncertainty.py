@@ -15,7 +15,7 @@ from .station_fit import DELAY, FOCAL, FittedCameraView, StationFit, StationProb
 Z95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
 _MIN_GROUPS = 8  # groups of pictures; with fewer episodes, each is divided
 _INFLATION = 1.8  # of all intervals; without it, errors of planted stations exceeded them by up to 1.6 times
-# px, an angle of joint 2 times the focal length: standard deviation of what errors that all edges share do to its offset,
+# px, an angle of joint 2 times the focal length: standard deviation of what errors of all edges do to its offset,
 # which looks like a tilt of the base. Of six planted stations, three had offsets that were wrong by 0.2 to 0.5 degrees.
 _JOINT2_ERROR = 1.3
 _EXPOSURE = 0.005  # s; a picture shows some time, and its stamp is from its beginning, middle or end
