@@ -7,9 +7,11 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
+import pytest
 
 from yamsim_cli.calibration.calibrate_run import offset_refusal
-from yamsim_cli.calibration.station_fit import DELAY, FitPriors, StationProblem, start_state
+from yamsim_cli.calibration.station_fit import DELAY, FitPriors, Layout, StationProblem, start_state
+from yamsim_cli.calibration.uncertainty import _with_joint2_error
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.se3 import pose, rotation_z
 
@@ -30,6 +32,18 @@ def test_the_priors_hold_the_rig_and_not_the_start_of_the_fit(station: RigConfig
     np.testing.assert_allclose(moved[problem.layout.offsets(other)], 0.03)
     place = problem.layout.base(other)
     np.testing.assert_allclose(moved[place], [0, 0, 0.01, 0, 0, 0.02], atol=1e-9)
+
+
+def test_an_error_of_the_second_joint_widens_what_follows_it() -> None:
+    layout = Layout(1, 0, (6,), 0)
+    fit = cast(Any, SimpleNamespace(layout=layout))
+    joint, tilt = layout.offsets(0).start + 1, layout.camera(0).start
+    covariance = np.diag(np.full(layout.size, 1e-6))
+    covariance[joint, tilt] = covariance[tilt, joint] = 0.5e-6
+    wider = _with_joint2_error(covariance, fit, 0.004)
+    assert wider[joint, joint] == pytest.approx(1e-6 + 0.004**2)
+    assert wider[tilt, tilt] == pytest.approx(1e-6 + 0.002**2)
+    assert wider[joint + 1, joint + 1] == pytest.approx(1e-6)
 
 
 def test_implausible_joint_offsets_are_refused(station: RigConfig) -> None:

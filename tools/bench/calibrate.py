@@ -4,7 +4,7 @@
 
 Each station has one arm, its own camera, lights, table and floor, four episodes of `pickplace` with distractors (or as
 `--task` and `--episodes` say), joint offsets, a delay of the pictures and an error of the given focal length. Pictures
-have full meshes, shadows, noise, blur and JPEG; the fit renders reduced meshes without light. Seeds below 1000 served
+have full meshes, shadows, noise, blur and JPEG; the fit renders reduced meshes without light. Seeds up to 1002 served
 development, those above did not.
 """
 
