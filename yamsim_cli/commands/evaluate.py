@@ -106,6 +106,7 @@ def evaluate(
     task: flags.Task = None,
     item: flags.Object = None,
     target: flags.Target = None,
+    scene: flags.Scene = None,
     rig: flags.Rig = None,
     revision: flags.Revision = None,
     robot: flags.Robot = None,
@@ -130,6 +131,10 @@ def evaluate(
     others = compare or []
     renders = video is not None or any(may_read_images(name) for name in (policy, *others))
     session = session_opener.open(config, renders=renders, wrist=True, **session_settings(locals()))
+
+    from yamsim_cli.camera_rendering import require_fixed_plates
+
+    require_fixed_plates(session.config)
 
     from yamsim_cli.core.episode.episode_rules import EndRule
     from yamsim_cli.policies.evaluate import evaluation
