@@ -10,18 +10,21 @@ import numpy as np
 import pytest
 
 from tests.cli.run_cli import yamsim
-from tests.hidden_stations import HiddenStation, hidden_station, write_station
+from tests.hidden_stations import hidden_station, write_station
 from tests.rig_photos import CAMERA as BOARD_CAMERA
 from tests.rig_photos import JOINTS, RigPhotographer, looking
+from yamsim_cli.calibration.calibration_file import load_calibration
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import pose, rotation_vector
 from yamsim_cli.core.images.png import encode_png
 from yamsim_cli.core.scene.cameras import fixed_camera
-from yamsim_cli.match.match_run import MatchRequest, common_view, locate_arms, scene_camera_of
+from yamsim_cli.match.match_report import report_data, require_overlap, write_match
+from yamsim_cli.match.match_run import MatchRequest, common_view, locate_arms, match_station, scene_camera_of
 from yamsim_cli.match.pinhole_view import PinholeView
 from yamsim_cli.match.plate import make_plate
 from yamsim_cli.photos.overlay.rendered_arms import ArmRenderers
@@ -29,44 +32,40 @@ from yamsim_cli.photos.overlay.rendered_arms import ArmRenderers
 CAMERA = CameraModel(320, 240, ((300.0, 0.0, 165.0), (0.0, 299.0, 117.0), (0.0, 0.0, 1.0)), (-0.1, 0.03, 0.0, 0.0, 0.0))
 
 
-@pytest.fixture(scope="module")
-def station(locations: Locations, tmp_path_factory: pytest.TempPathFactory) -> tuple[HiddenStation, Path]:
-    made = hidden_station(1, locations, 2, (320, 240))
-    folder = tmp_path_factory.mktemp("station")
-    for name in ("photos", "masks"):
-        (folder / name).mkdir()
-    write_station(made, locations, folder / "photos", folder / "masks", 2)
-    return made, folder
-
-
 @pytest.mark.slow
 @pytest.mark.render
-def test_the_matched_scene_is_nearer_to_the_photos(station: tuple[HiddenStation, Path], tmp_path: Path) -> None:
-    truth, folder = station
-    flags = ("--calibration", folder, "--joints", folder / "joints.npy", "--mask-image", folder / "masks", "--offline")
-    done = yamsim("match", folder / "photos", *flags, "--min-iou", "0.9", "--out", tmp_path / "out", "--json")
-    assert done.code == 0, done.err
-    report = json.loads(done.out)
-    assert json.loads((tmp_path / "out" / "match.json").read_text()) == {
-        key: value for key, value in report.items() if key != "scene"
-    }
-    cosine = np.dot(report["light"]["direction"], truth.direction)
-    assert math.degrees(math.acos(min(1, cosine))) < 25
-    for photo in report["photos"]:
-        assert photo["iou"] > 0.93
-        assert photo["outline_px"] < 1
-        assert photo["colour_arms"]["after"] < 0.7 * photo["colour_arms"]["before"]
-        assert photo["colour_all"]["after"] < 0.3 * photo["colour_all"]["before"]
-    # The scene is one for `record`, whose images have the photo's background.
-    small = ("--n", "1", "--size", "64x48", "--quality", "fast", "--offline", "--workers", "1")
-    scene = tmp_path / "out" / "matched.yaml"
-    done = yamsim("record", "--scene", scene, *small, "--out", tmp_path / "dataset")
-    assert done.code == 0, done.err
-    done = yamsim("verify", tmp_path / "dataset", "--images", "--workers", "1", "--json")
-    assert done.code == 0, done.err
-    done = yamsim("match", folder / "photos", *flags, "--min-iou", "0.999", "--out", tmp_path / "out", "--overwrite")
-    assert done.code == 5
-    assert "less than --min-iou 0.999" in done.err
+def test_the_matched_scene_is_nearer_to_the_photos(locations: Locations, tmp_path: Path) -> None:
+    truth = hidden_station(1, locations, 2, (320, 240))
+    for name in ("photos", "masks"):
+        (tmp_path / name).mkdir()
+    write_station(truth, locations, tmp_path / "photos", tmp_path / "masks", 2)
+    scenes = [load_config(SceneConfig, "scenes", name, locations) for name in ("tabletop", "studio")]
+    quality = load_config(RenderConfig, "quality", "fast", locations)
+    request = MatchRequest(
+        sorted((tmp_path / "photos").iterdir()),
+        truth.postures,
+        calibration=load_calibration(tmp_path / "calibration.yaml", locations),
+        masks=tmp_path / "masks",
+    )
+    match = match_station(truth.rig, scenes[0], scenes[1], quality, request, locations, lambda *_: None)
+    assert match.light is not None
+    assert math.degrees(math.acos(min(1, np.dot(match.light.light.direction, truth.direction)))) < 15
+    for photo in match.photos:
+        assert photo.iou is not None
+        assert photo.iou > 0.92  # small images of primitives
+        assert photo.outline_px < 1
+        assert photo.arms_after < 0.7 * photo.arms_before
+        assert photo.all_after < 0.3 * photo.all_before
+    require_overlap(match, 0.92)
+    with pytest.raises(SimulationError, match=r"less than --min-iou 0\.9999"):
+        require_overlap(match, 0.9999)
+    out = tmp_path / "out"
+    write_match(match, out)
+    assert json.loads((out / "match.json").read_text()) == report_data(match)
+    assert "data:image/jpeg" in (out / "match.html").read_text()
+    assert load_config(SceneConfig, "scenes", str(out / "matched.yaml"), locations) == match.scene.model_copy(
+        update={"name": "matched"}
+    )
 
 
 def test_flags_that_contradict_each_other_are_refused(tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ def measure(opener: SessionOpener, seed: int, photos: int, size: tuple[int, int]
     where = opener.choose_gl_backend(opener.find_locations())
     station = hidden_station(seed, where, photos + 1, size)
     where = opener.with_mesh_folders(where, visual_mesh_sets(Blueprint(station.rig, station.scene)))
-    scenes = [load_config(SceneConfig, "scenes", name, where) for name in ("tabletop", "studio")]
+    base, studio = (load_config(SceneConfig, "scenes", name, where) for name in ("tabletop", "studio"))
     quality = load_config(RenderConfig, "quality", "balanced", where)
     taken = take_photos(station, where, seed)
     with scratch_directory("match_") as folder:
@@ -85,9 +85,9 @@ def measure(opener: SessionOpener, seed: int, photos: int, size: tuple[int, int]
             masks=folder / "masks",
         )
         start = _cpu()
-        done = match_station(station.rig, *scenes, quality, request, where, lambda *_: None)
+        done = match_station(station.rig, base, studio, quality, request, where, lambda *_: None)
         seconds = _cpu() - start
-    after, before, arms = _unseen(station, done.scene, scenes[0], done.view, quality, where)
+    after, before, arms = _unseen(station, done.scene, base, done.view, quality, where)
     photo, mask = (done.view.undistort(image) for image in (taken[-1][0], taken[-1][1].astype(np.uint8)))
     light = done.light.light.direction if done.light else (0.0, 0.0, -1.0)
     cosine = float(np.dot(light, station.direction) / np.linalg.norm(light))

@@ -110,6 +110,7 @@ def evaluate(
     task: flags.Task = None,
     item: flags.Object = None,
     target: flags.Target = None,
+    scene: flags.Scene = None,
     rig: flags.Rig = None,
     revision: flags.Revision = None,
     robot: flags.Robot = None,
@@ -135,6 +136,7 @@ def evaluate(
         _write_reports(report, reports, out, html)
         print_report(report, lambda: evaluation_table(report), json)
         return
+    from yamsim_cli.camera_rendering import require_fixed_plates
     from yamsim_cli.core.episode.episode_rules import EndRule
     from yamsim_cli.policies.action_chunks import ChunkSettings, read_latency
     from yamsim_cli.policies.evaluate import evaluation
@@ -150,6 +152,7 @@ def evaluate(
     session, training = open_evaluation_session(
         session_opener, config, choice, others, trained_on, renders=video is not None, **session_settings(locals())
     )
+    require_fixed_plates(session.config)
     films = open_films(video, session.config, overwrite=overwrite) if video else None
     found = evaluate_and_compare(
         session, choice, others, trial_timeout, training, lambda: progress_bar("trials", "trials")

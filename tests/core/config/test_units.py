@@ -146,7 +146,7 @@ PLAIN = {
     "floor_rgba", "friction", "intensity", "tint", "tilt_deg", "rotation_deg", "hue_deg", "saturation", "value",
     "contrast", "colours",
     "salt_pepper", "textures", "mass", "K", "distortion", "focal_sigma", "supersampling", "constants",
-    "crumpled",
+    "crumpled", "up", "kinds",
 }  # fmt: skip
 
 
