@@ -38,6 +38,7 @@ EXTRAS = {
     "import": ("coacd", "assets import of glTF, SDFormat and other files"),
     "inspect": ("kitchenbench", "six of KitchenBench's tasks on the station"),
     "mcap": ("mcap", "import of MCAP files"),
+    "mcp": ("mcp", "mcp: tools for coding agents"),
     "menagerie": ("mujoco-menagerie", "one more source of meshes"),
 }
 
