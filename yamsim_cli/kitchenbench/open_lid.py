@@ -41,10 +41,8 @@ _MIN_GAIN = 0.1  # share of the hand's turn by which the lid has to turn; else i
 _MAX_TURNS = 14  # grasps of a screw lid
 _PULL_SPEED = 0.05  # m/s
 _MAX_PRESS = 0.07  # m, of the command of the hand that steadies, below its grasp
-_EXTRA_PULL, _MAX_PULLS = (
-    0.02,
-    6,
-)  # m and count: both arms yield by 2 to 3 mm per newton, so a pull goes farther than the lid
+# m and count, of pulls that each go farther: both arms yield by 2 to 3 mm per newton
+_EXTRA_PULL, _MAX_PULLS = 0.02, 6
 
 
 @dataclass(frozen=True)
