@@ -78,7 +78,8 @@ def lidded_container(base: ObjectConfig, asset: str, lid: ObjectConfig, blueprin
 def stiffen_lid_friction(model: mujoco.MjModel) -> None:
     """Let lids with dry friction stay where they are below their torque.
 
-    MuJoCo's friction of joints is soft: by default, half the torque turns such a lid at a third of a radian a second.
+    MuJoCo's friction of joints is soft: by default, a bottle's cap turns at 0.3 rad/s under less
+    than half of its torque.
     """
     for joint in range(model.njnt):
         dof = model.jnt_dofadr[joint]

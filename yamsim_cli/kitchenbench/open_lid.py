@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
@@ -26,8 +26,12 @@ _FORCE = 50.0  # N, asked of each finger. Source: I2RT's SDK limits grippers to 
 _APPROACH = 0.04  # m, length of the straight approach to a handle
 _CLEARANCE = 0.008  # m, additional opening of each finger before closing and after release
 _MAX_JOINT_STEP = 0.6  # rad, of a joint in one step of a turn; more is another posture
-_TURN_SPEED = 3.0  # rad/s, of a hand that turns a lid
-_BACK_SPEED = 3.5  # rad/s, of a hand that turns back around the lid
+# rad, between the postures of a turn with the lid, and back: of hands that point straight down, which turn by their
+# last joint, and of others.
+_FORWARD_STEPS = (math.radians(55), math.radians(30))
+_BACKWARD_STEPS = (math.radians(60), math.radians(45))
+_POINTS_DOWN = 0.99  # cosine of the angle from vertical, above which a hand points straight down
+_MAX_STEP_OF_PATH = 1.6  # rad, of a joint between two of these postures; more is another posture
 _TURN_STEP = math.radians(8)  # rad, between the angles of a turn at which contacts are checked
 _START_STEPS = 2  # steps of a turn between grasps that are tried to begin it
 _SIMILAR_TURN = math.radians(5)  # rad; a longer turn is preferred if it gains more than this
@@ -37,10 +41,8 @@ _MIN_GAIN = 0.1  # share of the hand's turn by which the lid has to turn; else i
 _MAX_TURNS = 14  # grasps of a screw lid
 _PULL_SPEED = 0.05  # m/s
 _MAX_PRESS = 0.07  # m, of the command of the hand that steadies, below its grasp
-_EXTRA_PULL, _MAX_PULLS = (
-    0.02,
-    6,
-)  # m and count: both arms yield by 2 to 3 mm per newton, so a pull goes farther than the lid
+# m and count, of pulls that each go farther: both arms yield by 2 to 3 mm per newton
+_EXTRA_PULL, _MAX_PULLS = 0.02, 6
 
 
 @dataclass(frozen=True)
@@ -138,9 +140,7 @@ class OpenLid(Skill):
             # The lid lags behind the hand by a little.
             angle = min(turn, ((self.to + 0.05) * whole - before) * 1.05)
             higher = rise + lead * angle
-            path = context.plan_curve(
-                hand, _turn_about_vertical(grip.T_pinch, (0.0, angle), (rise, higher)), angle / _TURN_SPEED
-            )
+            path = _turn_path(context, grip, (0.0, angle), (rise, higher), _FORWARD_STEPS)
             yield context.make_segment({hand: path})
             gained = context.world.joint_opening(thing, LID) * whole - before
             if self._is_open(context, thing) or gained < _MIN_GAIN * angle:
@@ -151,8 +151,7 @@ class OpenLid(Skill):
                 wait_for_arrival=False,
             )
             rise += lead * gained
-            back = _turn_about_vertical(grip.T_pinch, (angle, 0.0), (higher, rise))
-            path = context.plan_curve(hand, back, angle / _BACK_SPEED)
+            path = _turn_path(context, grip, (angle, 0.0), (higher, rise), _BACKWARD_STEPS)
             yield context.make_segment({hand: path}, wait_for_arrival=False)
 
     def _pull(
@@ -257,21 +256,36 @@ def _longest_turn(
     return None
 
 
-def _turn_about_vertical(
-    T_pinch: Array, angles: tuple[float, float], rises: tuple[float, float]
-) -> Callable[[float], Array]:
-    """Return a path of poses (4, 4) about the vertical through the pinch: from 0 to 1 between two angles, rad.
+def _turn_path(
+    context: PlanningContext,
+    grip: _Reach,
+    angles: tuple[float, float],
+    rises: tuple[float, float],
+    steps: tuple[float, float],
+) -> Array:
+    """Return a motion (n + 1, dof) that turns a hand about the vertical through its pinch.
 
-    The path leads between two heights over `T_pinch`, m.
+    Joints move evenly between the postures of a few angles, each in the ticks of one action. A finer path would bend
+    more often, and every bend costs an action.
+
+    Args:
+        angles: first and last angle from `grip`, rad.
+        rises: first and last height over `grip`, m.
+        steps: largest angle between two postures, of hands that point down and of others, rad.
     """
-
-    def pose_at(share: float) -> Array:
-        T = T_pinch.copy()
-        T[:3, :3] = rotation_z(angles[0] + share * (angles[1] - angles[0])) @ T_pinch[:3, :3]
-        T[2, 3] += rises[0] + share * (rises[1] - rises[0])
-        return T
-
-    return pose_at
+    hand, points_down = grip.hand, grip.T_pinch[2, 2] < -_POINTS_DOWN
+    count = max(math.ceil(abs(angles[1] - angles[0]) / steps[0 if points_down else 1]), 1)
+    rows = [hand.joints[None]]
+    for share in np.linspace(0.0, 1.0, count + 1)[1:]:
+        T_pinch = grip.T_pinch.copy()
+        T_pinch[:3, :3] = rotation_z(angles[0] + share * (angles[1] - angles[0])) @ T_pinch[:3, :3]
+        T_pinch[2, 3] += rises[0] + share * (rises[1] - rises[0])
+        last = rows[-1][-1]
+        there = hand.solve_ik(T_pinch, (last,))
+        if there is None or np.abs(there - last).max() > _MAX_STEP_OF_PATH:
+            raise SkillFailedError(FailureCause.UNREACHABLE, f"a turn of the lid leaves the {hand.side} arm's reach")
+        rows.append(np.linspace(last, there, CLOSING_TICKS + 1)[1:])
+    return np.concatenate(rows)
 
 
 def _approach(context: PlanningContext, reach: _Reach) -> Iterator[MotionSegment]:
