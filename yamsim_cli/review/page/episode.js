@@ -86,7 +86,9 @@ export class EpisodeView {
   async open(episode) {
     this.pause();
     this.detail = null;
+    this.wanted = episode;
     const detail = await get(`/api/episode/${episode}`);
+    if (this.wanted !== episode) return;
     this.detail = detail;
     this.cameras.open(detail);
     this.slider.max = detail.frames - 1;
@@ -111,7 +113,9 @@ export class EpisodeView {
 
   colour(k) { return `hsl(${(k * 47) % 360} 65% 50%)`; }
 
+  /** Keep this episode beside the next one, or stop that if it is kept; return whether one is kept. */
   pin() {
+    if (!this.detail) return Boolean(this.pinned.detail);
     const isNew = this.pinned.detail !== this.detail;
     this.find("pinned-side").hidden = !isNew;
     this.pinned.detail = null;

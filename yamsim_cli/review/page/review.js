@@ -166,12 +166,15 @@ async function open(episode) {
   find("episode-title").focus();
   showDecision();
   fail("");
+  find("scene-state").textContent = "";
+  find("episode").ariaBusy = "true";
   try {
     await view.open(episode);
     showDecision();
   } catch (error) {
     fail(error.message);
   }
+  if (state.open === episode) find("episode").ariaBusy = "false";
 }
 
 function close() {
