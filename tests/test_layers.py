@@ -119,6 +119,7 @@ CONFINED = {
         "core.scene",
         "core.sim",
         "export",
+        "kitchenbench.lids",
         "kitchenbench.scene_stepper",
         "match.station_renderer",
         "objects",
