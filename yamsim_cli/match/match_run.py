@@ -163,18 +163,7 @@ def match_station(
         surface = table_photo(plate.image, station.render(), station.masks()[1], view, widened.table)
         matched = _matched_scene(scene, rig, view, light, plate.image, surface)
         steps.done()
-        camera = matched.widened_for_arm_distance(rig.arm_span).scene_camera
-        assert camera is not None
-        shown = stack.enter_context(
-            StationRenderer(
-                rig,
-                matched.widened_for_arm_distance(rig.arm_span),
-                quality,
-                fixed_camera(SCENE_CAMERA, camera),
-                size,
-                locations,
-            )
-        )
+        shown = stack.enter_context(_render_scene(rig, matched, quality, size, locations))
         after = []
         for posture in postures:
             shown.set_postures(posture)
@@ -184,6 +173,15 @@ def match_station(
     ev, balance = _colour_change(_light_of(scene), used)
     steps.done()
     return StationMatch(matched, view, plate, light, ev, balance, surface is not None, photos, notes)
+
+
+def _render_scene(
+    rig: RigConfig, scene: SceneConfig, quality: RenderConfig, size: tuple[int, int], locations: Locations
+) -> StationRenderer:
+    """Return the renderer of a scene's own camera, as recordings have it."""
+    widened = scene.widened_for_arm_distance(rig.arm_span)
+    assert widened.scene_camera is not None
+    return StationRenderer(rig, widened, quality, fixed_camera(SCENE_CAMERA, widened.scene_camera), size, locations)
 
 
 class _Steps:
