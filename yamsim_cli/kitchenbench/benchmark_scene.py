@@ -154,7 +154,7 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
     roles = _role_assignment(blueprint)
     simulator = Simulator(base.with_values(task=task, scene=scene), roles)
     if blueprint.target_kind == OPEN:
-        stiffen_lid_friction(simulator.scene.model)
+        stiffen_lid_friction(simulator.scene)
     wanted = {item.name: T_in_world(item, blueprint) for item in things}
     start = settle_objects(
         simulator.scene, _lower_objects(simulator, feasible_poses(simulator, blueprint)), task.timing.timestep

@@ -7,12 +7,12 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-import mujoco
 from kitchenbench.sim.blueprint import SceneBlueprint
 
 from ..core.config.objects.generated import object_from_shape
 from ..core.config.objects.object_config import ObjectConfig
 from ..core.config.objects.shapes import CapShape, ContainerShape, LidShape, VesselShape
+from ..core.scene.compiled import CompiledScene
 
 #: KitchenBench's kinds of goals in which a lid is opened, and put onto its container.
 OPEN, SEAL = "open", "seal"
@@ -75,12 +75,13 @@ def lidded_container(base: ObjectConfig, asset: str, lid: ObjectConfig, blueprin
     return ObjectConfig.model_validate({**data, **_screw_container(base, lid, torque, turns)})
 
 
-def stiffen_lid_friction(model: mujoco.MjModel) -> None:
+def stiffen_lid_friction(scene: CompiledScene) -> None:
     """Let lids with dry friction stay where they are below their torque.
 
     MuJoCo's friction of joints is soft: by default, a bottle's cap turns at 0.3 rad/s under less
     than half of its torque.
     """
+    model = scene.model
     for joint in range(model.njnt):
         dof = model.jnt_dofadr[joint]
         if model.joint(joint).name.endswith(f"_{LID}") and model.dof_frictionloss[dof] > 0:
