@@ -5,7 +5,7 @@
 #
 # Uses $PYTHON where it is set, else the first that will do of python3, python3.11 ... python3.14. Debian and Ubuntu
 # keep venv in a package of its own, which is installed where that takes no question.
-# Exit codes: 0 made, 2 usage, 4 something is missing, with the command that installs it.
+# Exit codes: 0 made, 2 usage or a link in its place, 4 something is missing, with the command that installs it.
 set -eu
 
 # shellcheck source=tools/apt.sh
@@ -13,6 +13,10 @@ set -eu
 
 [ $# -eq 1 ] || { echo "usage: $0 DIRECTORY" >&2; exit 2; }
 directory=$1
+if [ -L "$directory" ]; then
+    echo "$directory is a link to $(readlink "$directory"), which would be emptied; remove the link" >&2
+    exit 2
+fi
 if [ -n "${PYTHON:-}" ]; then
     set -- "$PYTHON"
 else
