@@ -80,9 +80,21 @@ def _fold_napkin(opener: SessionOpener, where: Locations) -> np.ndarray:
     return _grid([table, [np.asarray(Pillow.fromarray(of["right"]).reduce(2)) for of in seen]], 3)
 
 
-def _session(opener: SessionOpener, where: Locations, **given: Any) -> Session:
+def _shadows(opener: SessionOpener, where: Locations) -> np.ndarray:
+    """Shadows in the left wrist camera of `hang_mug`: with steps of 1.3 mm, as in `balanced`, and in `high`."""
+    stepped = {"name": "stepped", "shadow_map_px": 1024, "smooth_shadows": False}
+    seen = []
+    for quality, changes in (("balanced", stepped), ("balanced", {}), ("high", {})):
+        session = _session(opener, where, task="hang_mug", quality=quality)
+        changed = session.with_values(render=session.config.render.model_copy(update=changes))
+        with first_success(changed) as success:
+            seen += pictures(*success, (0.385,), ("left",))
+    return _grid([[of["left"][:240, 300:620] for of in seen]], 6)
+
+
+def _session(opener: SessionOpener, where: Locations, quality: str = "high", **given: Any) -> Session:
     return opener.with_scene_meshes(
-        Session(opener.load_record_config("default", where, quality="high", **given), where)
+        Session(opener.load_record_config("default", where, quality=quality, **given), where)
     )
 
 
@@ -100,6 +112,7 @@ _DRAWN: dict[str, Callable[[SessionOpener, Locations], np.ndarray]] = {
     "episode.png": _episode,
     "finray.png": _finray,
     "fold_napkin.jpg": _fold_napkin,
+    "shadows.png": _shadows,
 }
 
 
