@@ -26,7 +26,7 @@ from yamsim_cli.core.images.png import encode_png
 from yamsim_cli.core.scene.cameras import WORLD_BODY, SceneCamera
 from yamsim_cli.core.scene.randomized_model import texture_image
 from yamsim_cli.match.station_renderer import StationRenderer
-from yamsim_cli.scene_photos.config import encode_photo
+from yamsim_cli.scene_photos.embedded_photos import encode_photo
 
 NOISE, BLUR, JPEG = 2.0, 0.5, 92  # grey levels, px, quality
 _TEXTURES = ("plain", "wood", "concrete", "noise", "marble", "terrazzo")

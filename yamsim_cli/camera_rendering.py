@@ -35,7 +35,7 @@ from .core.images.image import Image
 from .core.rendering.renderer import GeomIds, SceneRenderer
 from .core.scene.random_streams import Stream, random_generator
 from .core.sim.state_replay import StateReplay
-from .scene_photos.config import Plate, decode_photo
+from .scene_photos.embedded_photos import Plate, decode_photo
 
 _MAX_ROUND_TRIP = 1e-3  # of x/z and y/z, error of a projection and its inverse, which agree where the model is valid
 _EDGE_PX = 3  # px, width of the transition between a plate and what is before it

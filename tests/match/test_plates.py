@@ -23,7 +23,7 @@ from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import rotation_from_vector
 from yamsim_cli.core.scene.cameras import fixed_camera
-from yamsim_cli.scene_photos.config import Plate, decode_photo, encode_photo
+from yamsim_cli.scene_photos.embedded_photos import Plate, decode_photo, encode_photo
 from yamsim_cli.scene_photos.table_texture import add_table_texture
 
 CAMERA, SIZE = "scene_camera", (160, 120)

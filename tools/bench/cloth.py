@@ -28,7 +28,7 @@ from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.cloth_contacts import count_self_intersections
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.cloth import add_cloth, flat_points, grid_edges, grid_triangles
-from yamsim_cli.core.sim.cloth import ClothConstraints
+from yamsim_cli.core.sim.cloth import ClothGraspConstraints
 from yamsim_cli.session_opener import SessionOpener
 
 # Steps of a drop or pull, their length (s), and the step that releases the pulled point.
@@ -64,9 +64,9 @@ class _Watching:
 
     def __init__(self) -> None:
         self.sheets: dict[str, Sheet] = {}
-        self._ticks, update = 0, ClothConstraints.update_grasps
+        self._ticks, update = 0, ClothGraspConstraints.update_grasps
 
-        def seen(grips: ClothConstraints, data: mujoco.MjData, ctrl: Array) -> list[bool]:
+        def seen(grips: ClothGraspConstraints, data: mujoco.MjData, ctrl: Array) -> list[bool]:
             self._ticks += 1
             if self._ticks % 4 == 0:
                 for name, cloth in grips._scene.cloths.items():
@@ -74,7 +74,7 @@ class _Watching:
                     sheet.see(cloth.points(data.qpos))
             return update(grips, data, ctrl)
 
-        ClothConstraints.update_grasps = seen  # type: ignore[assignment, method-assign]
+        ClothGraspConstraints.update_grasps = seen  # type: ignore[assignment, method-assign]
 
 
 def fold(task: str, count: int, first: int, spoilt: int) -> None:

@@ -116,7 +116,7 @@ def main() -> None:
                 boards += visible
                 if sighting.status != "ok":
                     if visible:
-                        console.print(f"{k:03d} {one.board.name} at {distance:.2f} m: {sighting.explanation}")
+                        console.print(f"{k:03d} {one.board.name} at {distance:.2f} m: {sighting.failure_explanation}")
                     continue
                 found += visible
                 errors.append(off(sighting, truth))

@@ -248,10 +248,10 @@ class _MaskRefiner:
             found = self._normal_equations(T, scale, cutoff=max(_MIN_CUTOFF, 40.0 * 0.8**step))
             if found is None:
                 break
-            normal, gradient, centre = found
+            normal, right_hand_side, centre = found
             normal[6, 6] += 0.0 if free_focal else 1e12
             normal += np.diag(1e-3 * np.diag(normal) + 1e-9)
-            move: Array = np.linalg.solve(normal, gradient).astype(np.float64)
+            move: Array = np.linalg.solve(normal, right_hand_side).astype(np.float64)
             turn = rotation_from_vector(move[:3])
             T = pose(centre + move[3:6] + turn @ (T[:3, 3] - centre), turn @ T[:3, :3])
             scale *= math.exp(float(np.clip(move[6], -0.1, 0.1)))

@@ -33,9 +33,10 @@ _RENDERED_REACH = 2.5  # grains, within which the edge of a rendered body is sea
 _MOSTLY = 0.5  # share of pictures in which a body stands still, for the biases of still bodies
 _MIN_LINE = 10  # outline points; a shorter outline is not used
 
-# Parameters of a camera: the turn and shift of its pose, the logarithm of its focal length, its delay (s), the distance
-# (px) of edges from outlines that all bodies share, and for each body three biases (px) of its edges that all pictures
-# share: outwards, to the right and down. Light, shadows and reduced meshes cause them.
+# Parameters of a camera, in order: the turn and shift of its pose, the logarithm of its focal length, its delay (s), a
+# margin (px), and biases (px). The margin is the distance of edges from outlines, and is the same for all bodies. Each
+# body has three biases of its edges: outwards, to the right and down. They are the same in all pictures. Light, shadows
+# and simplified meshes cause them.
 FOCAL, DELAY, MARGIN, BIASES = 6, 7, 8, 9
 _BIASES = 3  # of each body
 
@@ -166,14 +167,16 @@ class FrameEquations:
     """The weighted equations of one picture.
 
     Attributes:
-        normal, gradient: (k, k) and (k,) of all parameters.
-        points: outline points, `found` of which have an edge within reach; `median` is their median distance, px.
+        normal, right_hand_side: (k, k) and (k,), of the normal equations for all parameters.
+        points: number of outline points.
+        found: number of outline points with an edge of the picture within reach.
+        median: median distance of these points from their edges, px.
     """
 
     camera: int
     frame: int
     normal: Array
-    gradient: Array
+    right_hand_side: Array
     points: int
     found: int
     median: float
@@ -227,9 +230,9 @@ class StationProblem:
         for number, reach in enumerate(reaches):
             equations, centres = self.linearize(state, reach)
             normal = self.prior + sum(one.normal for one in equations)
-            gradient = sum(one.gradient for one in equations) - self.prior @ self.prior_deviation(state)
+            right_hand_side = sum(one.right_hand_side for one in equations) - self.prior @ self.prior_deviation(state)
             damped = normal + 1e-9 * np.diag(np.diag(normal) + 1e-12)
-            step: Array = np.linalg.solve(damped, gradient).astype(np.float64)
+            step: Array = np.linalg.solve(damped, right_hand_side).astype(np.float64)
             state = self.apply(state, step, centres)
             if number >= len(reaches) - 3 and self._displacement(step) < _CONVERGED:
                 break

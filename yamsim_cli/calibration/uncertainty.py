@@ -35,14 +35,14 @@ class PoseInterval:
 
 @dataclass(frozen=True)
 class StationIntervals:
-    """Half widths of 95 % intervals.
+    """Half widths of 95 % intervals, and differences between two halves of the pictures.
 
     Attributes:
         cameras: of each camera's pose in the reference base.
         log_focal, delays: of each camera; s for the delays.
         offsets: of each arm's joint offsets (dof,), rad.
         bases: of each arm's base in the reference base; zero for the reference.
-        halves_position, halves_turn: differences (m, rad) of each camera's pose between two halves of the pictures.
+        halves_position, halves_turn: differences (m, rad) between each camera's poses from either half; no intervals.
     """
 
     cameras: tuple[PoseInterval, ...]
@@ -122,13 +122,13 @@ def _covariance(fit: StationFit, groups: Sequence[Groups]) -> Array:
     by_group: dict[int, Array] = {}
     for one in fit.equations:
         group = int(groups[one.camera][one.frame])
-        by_group[group] = by_group.get(group, np.zeros(len(information))) + one.gradient
+        by_group[group] = by_group.get(group, np.zeros(len(information))) + one.right_hand_side
     count = len(by_group)
     scatter = np.zeros_like(information)
     if count > 1:
-        gradients = np.array(list(by_group.values()))
-        gradients -= gradients.mean(axis=0)
-        scatter = gradients.T @ gradients * count / (count - 1)
+        right_hand_sides = np.array(list(by_group.values()))
+        right_hand_sides -= right_hand_sides.mean(axis=0)
+        scatter = right_hand_sides.T @ right_hand_sides * count / (count - 1)
         scatter *= (student_t_quantile_95(count - 1) / Z95) ** 2
     both: Array = _INFLATION**2 * inverse @ (information + scatter) @ inverse
     return both

@@ -193,7 +193,7 @@ def _mean_grey(images: Sequence[Image]) -> NDArray[np.uint8]:
 @dataclass(frozen=True)
 class _Rows:
     normal: Array
-    gradient: Array
+    right_hand_side: Array
     found_share: float
     median: float
     cost: float
@@ -229,7 +229,7 @@ class _WristProblem:
     def _refine(self, T: Array, state: Array, reaches: Sequence[float]) -> tuple[Array, Array, _Rows]:
         for reach in reaches:
             rows = self.linearize(T, state, reach)
-            step: Array = np.linalg.solve(rows.normal, rows.gradient).astype(np.float64)
+            step: Array = np.linalg.solve(rows.normal, rows.right_hand_side).astype(np.float64)
             T, state = self.moved(T, step), state + step
         return T, state, self.linearize(T, state, _FAR)
 
@@ -250,16 +250,16 @@ class _WristProblem:
         spread = 1.4826 * float(np.median(np.abs(residuals))) if len(residuals) else 0.0
         sigma = max(_MIN_SIGMA * grain, spread)
         normal = self._prior.copy()
-        gradient = -self._prior @ self._deviation(T_flange_in_cam, state)
+        right_hand_side = -self._prior @ self._deviation(T_flange_in_cam, state)
         for J, own, _ in parts:
             weight = np.clip(1 - (own / (_CUTOFF * sigma)) ** 2, 0, None) ** 2 / sigma**2
             weight *= min(1.0, _INDEPENDENT_POINTS / max(len(own), 1))
             normal += (J * weight[:, None]).T @ J
-            gradient += (J * weight[:, None]).T @ own
+            right_hand_side += (J * weight[:, None]).T @ own
         median = float(np.median(np.abs(residuals))) if len(residuals) else math.inf
         found = len(residuals) / max(points, 1)
         near = float(np.minimum(np.abs(residuals), _FAR * grain).mean()) if len(residuals) else _FAR * grain
-        return _Rows(normal, gradient, found, median, found * near + (1 - found) * _FAR * grain)
+        return _Rows(normal, right_hand_side, found, median, found * near + (1 - found) * _FAR * grain)
 
     def _mean_rows(self, one: _MeanPicture, T: Array, state: Array, reach: float) -> tuple[Array, Array, int]:
         renderer = self._renderer

@@ -130,7 +130,7 @@ def overlay(
         refine=refine,
         opacity=opacity,
         limits=PoseLimits(math.radians(max_turn), max_shift / 1000),
-        video=video,
+        output_video=video,
         frame_period=1 / fps,
         max_reprojection=max_reprojection,
         min_iou=min_iou,
@@ -193,7 +193,7 @@ def _print(report: OverlayReport) -> None:
         for arm in result.arms:
             # If no arm of a photo has a pose, the error at the end gives the reason.
             if result.base_poses and not arm.is_located and arm.detection:
-                print_note(f"{result.path}: {arm.name}: {arm.detection.explanation}")
+                print_note(f"{result.path}: {arm.name}: {arm.detection.failure_explanation}")
         for text in result.notes:
             print_note(f"{result.path}: {text}")
     for move in report.move_report.moves:

@@ -115,7 +115,9 @@ class RealEpisode(RecordedEpisode):
 
     def frames(self) -> list[dict[str, Any]]:
         """Read the low-dimensional data of the selected frames."""
-        recorded = {k: self.frame(k, self.read_verified(lowdim_path(k))) for k in dict.fromkeys(self.frame_numbers)}
+        recorded = {
+            k: self.decode_frame_data(k, self.read_verified(lowdim_path(k))) for k in dict.fromkeys(self.frame_numbers)
+        }
         return [recorded[k] for k in self.frame_numbers]
 
     def image(self, camera: str, number: int) -> bytes:

@@ -41,7 +41,7 @@ _EAR = (0.024, 0.060, 0.030)  # m, length, width and height of the ear at each e
 _EAR_DROP = 0.002  # m, from the container's rim down to the ears
 _EAR_OUTWARD = 0.004  # m, from an ear's centre to the pads that hold it, so that fingers clear the wall
 _BAR_LENGTH_MM = 90.0  # mm, of a snap lid's bar, along the container
-_SNAP_TILTS = (0, 15, 30, 45, 60)  # degrees from vertical, of hands over ears and bar, which lean apart
+_SNAP_TILTS = (0, 15, 30, 45, 60)  # degrees from vertical, of hands at an ear and at the bar; the hands lean apart
 _BAR_WIDTH = 0.026  # m, of a snap lid's bar: the pads press harder on wider things
 
 _STEADY_AZIMUTHS = 24  # directions from which a hand may steady a round container

@@ -33,7 +33,7 @@ from ..photos.overlay.photo_arm_poses import RigInPhoto, find_arms
 from ..photos.overlay.photo_cameras import PhotoCameras
 from ..photos.overlay.photos import Photo, find_mask
 from ..photos.overlay.rendered_arms import ArmRenderers
-from ..scene_photos.config import Plate, encode_photo
+from ..scene_photos.embedded_photos import Plate, encode_photo
 from .light_fit import HEADLIGHT, LightFit, StationPhoto, fit_light
 from .pinhole_view import PinholeView
 from .plate import StationPlate, make_plate, table_photo
@@ -260,7 +260,9 @@ def locate_arms(
                 ),
             )
         if not arms.base_poses:
-            why = next((arm.detection.explanation for arm in arms.arms if arm.detection), "the rig has no boards")
+            why = next(
+                (arm.detection.failure_explanation for arm in arms.arms if arm.detection), "the rig has no boards"
+            )
             raise ResourceError(f"{path}: no arm is located: {why}; give --calibration, or a photo with a whole board")
         renderer = outlines.renderer_for(arms.lens.camera)
         renderer.set_poses(arms.base_poses, posture)

@@ -63,14 +63,14 @@ def table_photo(
     pixels, inside = view.project(points)
     maps = (pixels[:, 0].reshape(rows, columns), pixels[:, 1].reshape(rows, columns))
 
-    def from_above(image: NDArray[np.float32], way: int) -> NDArray[np.float32]:
-        return np.asarray(cv2.remap(image, *maps, way, borderMode=cv2.BORDER_REPLICATE), np.float32)
+    def warp_from_above(image: NDArray[np.float32], interpolation: int) -> NDArray[np.float32]:
+        return np.asarray(cv2.remap(image, *maps, interpolation, borderMode=cv2.BORDER_REPLICATE), np.float32)
 
-    seen = inside.reshape(rows, columns) & (from_above(on_table.astype(np.float32), cv2.INTER_NEAREST) > 0)
+    seen = inside.reshape(rows, columns) & (warp_from_above(on_table.astype(np.float32), cv2.INTER_NEAREST) > 0)
     if seen.mean() < _MIN_SEEN:
         return None
-    colours = from_above(plate.astype(np.float32), cv2.INTER_LINEAR)
-    shade = np.maximum(from_above(white_table.astype(np.float32), cv2.INTER_LINEAR), 1.0)
+    colours = warp_from_above(plate.astype(np.float32), cv2.INTER_LINEAR)
+    shade = np.maximum(warp_from_above(white_table.astype(np.float32), cv2.INTER_LINEAR), 1.0)
     albedo = np.clip(255.0 * colours / shade, 0, 255)
     albedo[~seen] = albedo[seen].mean(axis=0)
     return np.rint(albedo).astype(np.uint8)

@@ -31,8 +31,9 @@ DECOMPOSITION_FOLDER = "decomposed"  # folder of cached results, beside the mesh
 # Triangle counts of the reduced body, tried in order, and its largest deviation; the parts deviate by 1 to 2 mm.
 _FACE_COUNTS, _LIMIT_MM = (1_000, 2_000, 4_000, 8_000), 0.3
 
-# Found by experiment (docs/figures.md). `threshold`: remaining concavity over half the body's length. `parts`: maximum
-# number. The others limit the tree search of each cut.
+# Found by experiment (docs/figures.md). `threshold`: concavity at which cutting stops, as a share of half the body's
+# length. `parts`: maximum number of parts. `resolution`: density of surface samples that measure concavity. The others
+# limit the tree search for each cut.
 _SEARCH_OPTIONS = {"threshold": 0.05, "parts": 32, "iterations": 40, "nodes": 10, "depth": 2, "resolution": 1000}
 _TIME_LIMIT_S = 300.0  # s; several times the duration for some thousand triangles
 _MEMORY_BYTES = 8_000_000_000  # bytes, address space of the child

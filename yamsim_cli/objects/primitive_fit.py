@@ -123,21 +123,21 @@ def _without_dimples(points: Array) -> Array:
 def _solid_candidates(points: Array) -> Iterator[tuple[MakeParts, Array]]:
     low, high = np.percentile(points, (0.5, 99.5), axis=0)
     centre, half = (low + high) / 2, (high - low) / 2
-    yield lambda p: _sphere_parts(p, half[:2].min()), np.array([*centre, half.mean()])
-    yield _cylinder_parts, np.array([*centre, half[:2].mean(), half[2]])
+    yield lambda p: _spheres_from_parameters(p, half[:2].min()), np.array([*centre, half.mean()])
+    yield _cylinders_from_parameters, np.array([*centre, half[:2].mean(), half[2]])
     yaw = min(np.radians(np.arange(0, 90, 2)), key=lambda yaw: float(np.prod(_turned_extent(points, yaw)[1])))
     middle, size = _turned_extent(points, yaw)
-    yield _box_parts, np.array([*middle, centre[2], *size, half[2], yaw])
+    yield _boxes_from_parameters, np.array([*middle, centre[2], *size, half[2], yaw])
     for count in (1, 2, 3):
-        yield _capsule_parts, _initial_capsules(points, count)
+        yield _capsules_from_parameters, _initial_capsules(points, count)
 
 
-def _sphere_parts(p: Array, maximum: float) -> Parts:
+def _spheres_from_parameters(p: Array, maximum: float) -> Parts:
     """Limit the radius to `maximum`: fingers that fit around the scan then fit around the sphere."""
     return (Sphere(type="sphere", centre=_float_triple(p[:3]), radius=min(_positive_size(p[3]), maximum)),)
 
 
-def _cylinder_parts(p: Array) -> Parts:
+def _cylinders_from_parameters(p: Array) -> Parts:
     return (
         Cylinder(
             type="cylinder", centre=_float_triple(p[:3]), radius=_positive_size(p[3]), half_height=_positive_size(p[4])
@@ -145,12 +145,12 @@ def _cylinder_parts(p: Array) -> Parts:
     )
 
 
-def _box_parts(p: Array) -> Parts:
+def _boxes_from_parameters(p: Array) -> Parts:
     size = (_positive_size(p[3]), _positive_size(p[4]), _positive_size(p[5]))
     return (Box(type="box", centre=_float_triple(p[:3]), half_size=size, yaw_deg=round(math.degrees(p[6]), 2)),)
 
 
-def _capsule_parts(p: Array) -> Parts:
+def _capsules_from_parameters(p: Array) -> Parts:
     """Return capsules from positions (x, y, z) of their shared ends, then a radius each."""
     count = (len(p) - 3) // 4
     joints, radii = p[: 3 * count + 3].reshape(-1, 3), p[3 * count + 3 :]
@@ -224,7 +224,7 @@ class _LinearizedShape:
         return self._jacobian.T @ self._jacobian
 
     @property
-    def gradient(self) -> Array:
+    def right_hand_side(self) -> Array:
         return -self._jacobian.T @ self.distance
 
 

@@ -159,7 +159,7 @@ class PoseCorrectionEquations:
     """The normal equations (6, 6) and (6,) of a `PoseCorrection`, from edges along an outline."""
 
     normal: Array
-    gradient: Array
+    right_hand_side: Array
 
 
 def edge_equations(
@@ -201,8 +201,8 @@ def solve_correction(
         so_far: sum (6,) of earlier steps from the prior.
     """
     normal = information + sum(part.normal for part in equations)
-    gradient = sum(part.gradient for part in equations) - information @ so_far
-    return PoseCorrection(np.linalg.solve(normal, gradient).astype(np.float64), centre)
+    right_hand_side = sum(part.right_hand_side for part in equations) - information @ so_far
+    return PoseCorrection(np.linalg.solve(normal, right_hand_side).astype(np.float64), centre)
 
 
 def search_distances() -> list[float]:

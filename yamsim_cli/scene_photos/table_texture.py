@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mujoco
 
-from .config import decode_photo
+from .embedded_photos import decode_photo
 
 TABLE_TOP_MATERIAL = "table_top"
 

@@ -15,7 +15,7 @@ from ..core.attempt_data import ActionSequence, Attempt, AttemptJob
 from ..core.config.goals.goal import evaluate_goal
 from ..core.config.goals.role_assignment import RoleAssignment
 from ..core.config.goals.world import TABLE
-from ..core.config.program_task import NearMiss, ProgramTask, Start
+from ..core.config.program_task import NearMiss, ObjectStartRanges, ProgramTask
 from ..core.config.session import Session
 from ..core.episode.episode_rules import REPLAY_RULES
 from ..core.episode.execution import SimulatedAttempt, simulate_expert
@@ -73,7 +73,7 @@ def check_reach(simulator: Simulator) -> TaskCheck:
     )
 
 
-def _reachable_share(simulator: Simulator, start: Start) -> float:
+def _reachable_share(simulator: Simulator, start: ObjectStartRanges) -> float:
     height = simulator.config.widened_table.top_height + _HAND_HEIGHT
     places = list(itertools.product(np.linspace(*start.x, _GRID_POINTS), np.linspace(*start.y, _GRID_POINTS)))
     return sum(simulator.expert_planner.is_place_reachable(np.array((x, y, height))) for x, y in places) / len(places)

@@ -30,9 +30,9 @@ class Linear:
         return normal
 
     @property
-    def gradient(self) -> Array:
-        gradient: Array = -np.einsum("...ij,...i->...j", self.slope, self.residual)
-        return gradient
+    def right_hand_side(self) -> Array:
+        right_hand_side: Array = -np.einsum("...ij,...i->...j", self.slope, self.residual)
+        return right_hand_side
 
 
 class Valley(LeastSquares[Array, Linear]):

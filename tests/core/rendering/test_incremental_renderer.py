@@ -18,7 +18,7 @@ from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.geometry.se3 import Array, rotation_z
 from yamsim_cli.core.rendering import shadow_shaders
 from yamsim_cli.core.rendering.incremental_renderer import IncrementalRenderer
-from yamsim_cli.core.rendering.pixel_boxes import PixelBox, Projection, ShadowTable, ShadowVolumes, box_corners, union
+from yamsim_cli.core.rendering.pixel_boxes import Projection, ScissorBox, ShadowTable, ShadowVolumes, box_corners, union
 from yamsim_cli.core.rendering.renderer import SceneRenderer
 from yamsim_cli.session_opener import SessionOpener
 
@@ -56,10 +56,10 @@ def draw_all(renderer: SceneRenderer, model: mujoco.MjModel, states: Sequence[Ar
 def test_the_pixels_are_those_of_whole_images(
     settings: dict[str, Any], smooth: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    boxes: list[PixelBox | None] = []
+    boxes: list[ScissorBox | None] = []
     draw = IncrementalRenderer.draw
 
-    def record_box(self: IncrementalRenderer, data: mujoco.MjData, camera: str) -> PixelBox | None:
+    def record_box(self: IncrementalRenderer, data: mujoco.MjData, camera: str) -> ScissorBox | None:
         boxes.append(draw(self, data, camera))
         return boxes[-1]
 
@@ -155,7 +155,7 @@ def test_a_box_contains_the_projected_points() -> None:
     assert boxes[0].tolist() == [87, 42, 113, 58]
     assert bounded.tolist() == [True, False]
     assert boxes[1].tolist() == [0, 0, 200, 100]
-    assert union(boxes[:1]) == PixelBox(87, 42, 26, 16)
+    assert union(boxes[:1]) == ScissorBox(87, 42, 26, 16)
     assert union(boxes[:0]).is_empty
 
 

@@ -139,7 +139,7 @@ def test_beside_a_board_that_is_seen_the_other_is_looked_for() -> None:
     beside, _ = locate_boards(photo, CAMERA, [ONE, TWO], [np.eye(4), apart @ near])
     before, _ = locate_boards(photo, CAMERA, [ONE, TWO], before=[None, truth @ apart @ near])
     for seen in (beside[1], before[1]):
-        assert seen.T_board_in_cam is not None, seen.explanation
+        assert seen.T_board_in_cam is not None, seen.failure_explanation
         shift, turn = pose_error(seen.T_board_in_cam, truth @ apart)
         assert shift < 0.015 and turn < math.radians(3)
 
@@ -176,4 +176,4 @@ def test_advice_is_given_for_dark_blurred_and_absent_boards(spoil: dict[str, flo
     (seen,), _ = locate_boards(photo, CAMERA, [TWO])
     assert seen.T_board_in_cam is None
     assert any(part in one for one in seen.advice), seen.advice
-    assert part in seen.explanation
+    assert part in seen.failure_explanation

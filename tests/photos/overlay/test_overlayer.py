@@ -303,7 +303,7 @@ def test_a_video_of_all_photos(run: Runner, photo: Path, russet_shot: RigPhoto) 
     av = pytest.importorskip("av", reason="yamsim[video] is not installed")
     for k in range(3):
         save(Path(f"p{k}.png"), russet_shot.image)
-    report = run("p0.png", "p1.png", "p2.png", video=Path("out/all.mp4"), frame_period=0.1)
+    report = run("p0.png", "p1.png", "p2.png", output_video=Path("out/all.mp4"), frame_period=0.1)
     assert Path("out/all.mp4") in report.files
     with av.open("out/all.mp4") as container:
         frames = list(container.decode(video=0))
@@ -312,7 +312,7 @@ def test_a_video_of_all_photos(run: Runner, photo: Path, russet_shot: RigPhoto) 
     assert np.abs(shown - read_image(Path("out/p1_overlay.png"))).mean() < 4
     save(Path("small.png"), russet_shot.image[:240, :320])
     with pytest.raises(UsageError, match=r"--video needs photos of one size, but small\.png differs in size"):
-        run("p0.png", "small.png", camera=None, video=Path("out/two.mp4"))
+        run("p0.png", "small.png", camera=None, output_video=Path("out/two.mp4"))
     assert not list(Path("out").glob("*two*"))
 
 

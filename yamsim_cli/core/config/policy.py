@@ -17,7 +17,7 @@ ImageAxisOrder = Literal["rows", "channels"]
 
 CameraName = Name  # "scene", "wrist", "left_wrist", "right_wrist", or the name of a station's camera
 _CHUNKING_KEYS = ("prefix_key", "length_key")
-ConstantValue = bool | int | float | str
+ScalarConstant = bool | int | float | str
 
 
 class PictureMapping(Config):
@@ -119,7 +119,7 @@ class PolicyConfig(Config):
     prompt: MessageKey | None = None
     time: MessageKey | None = None
     seed: MessageKey | None = None
-    constants: dict[MessageKey, ConstantValue] = Field(default={}, max_length=32)
+    constants: dict[MessageKey, ScalarConstant] = Field(default={}, max_length=32)
     actions: ActionsMapping
     realtime_chunking: RealtimeChunking | None = None
     trained_on: str | None = Field(default=None, min_length=1, max_length=1000)

@@ -97,8 +97,8 @@ class Role(Config):
         return {**given, "of": [given["of"]]} if single else given
 
 
-class Start(Config):
-    """Ranges of the initial poses of a role's objects.
+class ObjectStartRanges(Config):
+    """Ranges from which the initial poses of a role's objects are sampled.
 
     Attributes:
         on: `table`, or a role whose first object supports the objects.
@@ -124,7 +124,7 @@ class Start(Config):
     crumpled: tuple[_ClothDropHeight, _ClothDropHeight] | None = None
 
     @model_validator(mode="after")
-    def _check_consistency(self) -> Start:
+    def _check_consistency(self) -> ObjectStartRanges:
         if self.crumpled is not None and self.crumpled[0] > self.crumpled[1]:
             low, high = self.crumpled
             raise ConflictError(f"a range is [low, high], so {low} must not be above {high}", ("crumpled",))
@@ -135,7 +135,7 @@ class Start(Config):
             )
         return self
 
-    def with_y_in_world(self, y: float) -> Start:
+    def with_y_in_world(self, y: float) -> ObjectStartRanges:
         """Return the start with its range of y converted to `world`, given the world `y` (m) of the arm `from_arm`."""
         return self.model_copy(update={"from_arm": None, "y": (self.y[0] + y, self.y[1] + y)})
 
@@ -261,7 +261,7 @@ class ProgramTask(Config):
     grasps: Annotated[tuple[Literal["weld", "contact"], ...], Field(min_length=1)] = ("contact",)
     held_at_the_end: bool = False
     things: Annotated[Mapping[Name, Role], Field(min_length=1)]
-    starts: Mapping[Name, Start]
+    starts: Mapping[Name, ObjectStartRanges]
     arrangements: tuple[Arrangement, ...] = ()
     phrasings: Phrasings
     language_task: str = ""

@@ -15,7 +15,7 @@ from ..robots.joint_limits import describe_limit_violation
 from .mesh_provenance import PROVENANCE_PATTERN
 from .objects.object_config import ObjectConfig
 from .program_task import GraspKind as GraspKind
-from .program_task import ProgramTask, Start
+from .program_task import ObjectStartRanges, ProgramTask
 from .randomization import RandomizationConfig
 from .rendering import ImageConfig, RenderConfig
 from .rig import ArmConfig, RigConfig
@@ -230,7 +230,7 @@ class RecordConfig(Config):
         return len(self.rig.arms) - 1 - self.first_arm
 
     @property
-    def start_regions_in_world(self) -> Mapping[str, Start]:
+    def start_regions_in_world(self) -> Mapping[str, ObjectStartRanges]:
         """Role -> ranges of the initial poses of its objects, all in `world`."""
         places = {"first": self.rig.arm_origin_y(self.first_arm), "second": self.rig.arm_origin_y(self.second_arm)}
         return {

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from ...scene_photos.config import PhotoText, Plate
+from ...scene_photos.embedded_photos import PhotoText, Plate
 from ..files.documents.config_base import Config, ConflictError, Name, Rgb, Rgba, Vector
 from ..files.documents.units import FieldOfView, Place, PlacePoint, Size
 from .objects.object_config import Contact

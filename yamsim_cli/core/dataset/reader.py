@@ -70,7 +70,7 @@ class RecordedEpisode:
             )
         return data
 
-    def frame(self, number: int, data: bytes) -> dict[str, Any]:
+    def decode_frame_data(self, number: int, data: bytes) -> dict[str, Any]:
         """Decode the low-dimensional data of one frame from its file content. Raise DatasetError if it is damaged."""
         try:
             return load_frame(data)
@@ -80,7 +80,10 @@ class RecordedEpisode:
     def frames(self) -> list[dict[str, Any]]:
         """Read the low-dimensional data of all frames. Raise DatasetError if a file is missing, damaged or altered."""
         first = self.first_frame
-        return [self.frame(k, self.read_verified(lowdim_path(k))) for k in range(first, first + self.record.frames)]
+        return [
+            self.decode_frame_data(k, self.read_verified(lowdim_path(k)))
+            for k in range(first, first + self.record.frames)
+        ]
 
     def image(self, camera: str, number: int) -> bytes:
         """Return the JPEG bytes of a frame. Raise DatasetError if the file is missing or altered."""
@@ -103,9 +106,9 @@ class StoredEpisode(RecordedEpisode):
 
     record: EpisodeRecord
 
-    def frame(self, number: int, data: bytes) -> dict[str, Any]:
+    def decode_frame_data(self, number: int, data: bytes) -> dict[str, Any]:
         """Decode the low-dimensional data of one frame. Raise DatasetError if it does not fit the record."""
-        frame = super().frame(number, data)
+        frame = super().decode_frame_data(number, data)
         faults = frame_faults(frame, recorded_specs(self.record))
         if faults:
             raise DatasetError(f"{self.directory / lowdim_path(number)}: {'; '.join(faults)}")

@@ -237,7 +237,7 @@ def to_json(record: Record, *, indent: int | None = None) -> bytes:
 
 
 def from_json(model: type[R], data: bytes | str, source: Path | str) -> R:
-    """Parse a record of any known format version. Raise DatasetError with the first fault if it is no valid `model`."""
+    """Parse a record of type `model`, of any known format version. Raise DatasetError with the first fault."""
     try:
         parsed = pydantic_core.from_json(data)
         if isinstance(parsed, dict):

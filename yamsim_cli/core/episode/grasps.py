@@ -9,7 +9,7 @@ import numpy as np
 from ..attempt_data import WeldStates
 from ..geometry.se3 import Array
 from ..scene.compiled import ArmAddresses, CompiledScene
-from ..sim.cloth import ClothConstraints
+from ..sim.cloth import ClothGraspConstraints
 
 
 class GraspSimulator(Protocol):
@@ -84,11 +84,11 @@ class ClothGraspSimulator:
     """Constraints hold points of cloth between closed fingers, see `sim.cloth`; friction holds rigid objects."""
 
     def __init__(self, scene: CompiledScene) -> None:
-        self._cloth_constraints = ClothConstraints(scene)
+        self._cloth_grasp_constraints = ClothGraspConstraints(scene)
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
         """See `GraspSimulator.update`."""
-        return self._cloth_constraints.update_grasps(data, ctrl)
+        return self._cloth_grasp_constraints.update_grasps(data, ctrl)
 
 
 def make_grasp_simulator(scene: CompiledScene, magnet_reach: float | None) -> GraspSimulator:

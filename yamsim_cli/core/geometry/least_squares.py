@@ -30,8 +30,8 @@ class Linearized(Protocol):
         ...
 
     @property
-    def gradient(self) -> Array:
-        """Right-hand side (..., k) of the normal equations; the undamped step is `solve(normal, gradient)`."""
+    def right_hand_side(self) -> Array:
+        """Right-hand side (..., k) of the normal equations: half the cost's gradient, negative."""
         ...
 
 
@@ -72,7 +72,7 @@ def solve_least_squares(problem: LeastSquares[S, L], state: S, max_steps: int) -
         return None
     damping = np.full(np.shape(known.cost), _START_DAMPING)
     for _ in range(max_steps):
-        step = _damped_step(known.normal_matrix, known.gradient, damping)
+        step = _damped_step(known.normal_matrix, known.right_hand_side, damping)
         there = problem.apply_step(state, step)
         trial = problem.linearize(there, known)
         gain = np.asarray(-np.inf if trial is None else np.subtract(known.cost, trial.cost))
@@ -85,8 +85,8 @@ def solve_least_squares(problem: LeastSquares[S, L], state: S, max_steps: int) -
     return state, known
 
 
-def _damped_step(normal: Array, gradient: Array, damping: Array) -> Array:
+def _damped_step(normal: Array, right_hand_side: Array, damping: Array) -> Array:
     diagonal = np.einsum("...ii->...i", normal) + _REGULARIZATION
     damped = normal + damping[..., None, None] * np.eye(normal.shape[-1]) * diagonal[..., None, :]
-    step = np.linalg.solve(damped, gradient[..., None])[..., 0]
+    step = np.linalg.solve(damped, right_hand_side[..., None])[..., 0]
     return np.nan_to_num(step, posinf=0.0, neginf=0.0)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..geometry.se3 import Array, pose
 from .geom_display_lists import Builtin, DrawMode, GeomDisplayLists
 from .opengl import OpenGlFunctions, address, floats
-from .pixel_boxes import PixelBox, Projection, ShadowTable, ShadowVolumes, box_corners, overlaps, union
+from .pixel_boxes import Projection, ScissorBox, ShadowTable, ShadowVolumes, box_corners, overlaps, union
 from .shadow_shaders import ShadowShaders, warn_of_stepped_shadows
 
 _Floats = NDArray[np.float32]
@@ -125,7 +125,7 @@ class IncrementalRenderer:
         self._views.clear()
         self._shadow_view = None
 
-    def draw(self, data: mujoco.MjData, camera: str) -> PixelBox | None:
+    def draw(self, data: mujoco.MjData, camera: str) -> ScissorBox | None:
         """Draw the changed part of the image of a camera into the offscreen buffer.
 
         The scene must have been updated with `data` and this camera, and its frustum must have a width.
@@ -141,7 +141,7 @@ class IncrementalRenderer:
             self._appearance, self._layout = b"", None
             raise
 
-    def _draw_changes(self, data: mujoco.MjData, camera: str) -> PixelBox | None:
+    def _draw_changes(self, data: mujoco.MjData, camera: str) -> ScissorBox | None:
         appearance = self._read_appearance()
         if appearance != self._appearance or (self._layout is not None and len(self._layout.ids) != self._scene.ngeom):
             self.invalidate()
@@ -294,14 +294,14 @@ class IncrementalRenderer:
 
     def _changed_pixel_box(
         self, before: _View | None, view: _View, projection: Projection, boxes: NDArray[np.int_], light: int | None
-    ) -> PixelBox:
+    ) -> ScissorBox:
         """Return the pixels in which a geom or a shadow has moved since the last image of the camera."""
-        everything = PixelBox(0, 0, *self._size)
+        everything = ScissorBox(0, 0, *self._size)
         if before is None or before.camera != view.camera or (before.poses.lights != view.poses.lights).any():
             return everything
         changed = self._moved_geoms(before, view)
         if not changed.any():
-            return PixelBox(0, 0, 0, 0)
+            return ScissorBox(0, 0, 0, 0)
         assert self._layout is not None
         if (changed & self._layout.is_plane).any():
             return everything
@@ -347,7 +347,7 @@ class IncrementalRenderer:
         matrix = projection.reshape(4, 4).T.astype(np.float64) @ modelview.reshape(4, 4).T
         texels = Projection(matrix, 1, (side - 2, side - 2), (side, side), _SHADOW_MARGIN)
         boxes, _ = texels.boxes(view.box_corners)
-        before, box = self._shadow_view, PixelBox(0, 0, side, side)
+        before, box = self._shadow_view, ScissorBox(0, 0, side, side)
         if before is not None and (before.poses.lights == view.poses.lights).all():
             changed = self._moved_geoms(before, view) & self._layout.casts_shadow
             box = union(np.concatenate([boxes[changed], texels.boxes(before.box_corners[changed])[0]]))
@@ -400,7 +400,7 @@ class IncrementalRenderer:
         gl.glGetFloatv(GL.GL_MODELVIEW_MATRIX, address(modelview))
         return projection, modelview
 
-    def _draw_image(self, view: _View, box: PixelBox, drawn: NDArray[np.int_], light: int | None) -> None:
+    def _draw_image(self, view: _View, box: ScissorBox, drawn: NDArray[np.int_], light: int | None) -> None:
         """Draw the geoms `drawn` and the sky into a rectangle of the image. `light` is the light that casts shadows."""
         gl, GL = self._gl, self._constants
         self._set_up_image()

@@ -15,8 +15,8 @@ _CORNER_SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))  # (8, 3), corner
 _MIN_LIGHT_DESCENT = 0.05  # smallest downward part of a light's unit direction for which shadows are bounded
 
 
-class PixelBox(NamedTuple):
-    """A rectangle of pixels as for `glScissor`; the origin is the lower left corner."""
+class ScissorBox(NamedTuple):
+    """A rectangle of pixels, in the form of `glScissor`. The origin is the image's lower left corner."""
 
     left: int
     bottom: int
@@ -77,17 +77,17 @@ class Projection:
         return found, bounded
 
 
-def union(boxes: NDArray[np.int_]) -> PixelBox:
+def union(boxes: NDArray[np.int_]) -> ScissorBox:
     """Return the smallest rectangle that contains rectangles (n, 4) of `Projection.boxes`."""
     boxes = boxes[(boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1])]
     if not len(boxes):
-        return PixelBox(0, 0, 0, 0)
+        return ScissorBox(0, 0, 0, 0)
     left, bottom = boxes[:, :2].min(axis=0)
     right, top = boxes[:, 2:].max(axis=0)
-    return PixelBox(int(left), int(bottom), int(right - left), int(top - bottom))
+    return ScissorBox(int(left), int(bottom), int(right - left), int(top - bottom))
 
 
-def overlaps(boxes: NDArray[np.int_], box: PixelBox) -> NDArray[np.bool_]:
+def overlaps(boxes: NDArray[np.int_], box: ScissorBox) -> NDArray[np.bool_]:
     """Return whether each rectangle (n, 4) of `Projection.boxes` shares a pixel with `box` (n,)."""
     right, top = box.left + box.width, box.bottom + box.height
     across = (boxes[:, 0] < right) & (boxes[:, 2] > box.left)

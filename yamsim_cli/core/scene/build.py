@@ -18,7 +18,7 @@ from ..files.writing import sha256_bytes
 from ..robots.models import Fingers
 from .assets.mesh_reduction import REPORT_FILE
 from .blueprint import Blueprint, TaskPhysics, recording_blueprint
-from .cloth import cloth_constraint_name, flat_points
+from .cloth import cloth_grasp_constraint_name, flat_points
 from .compilation import compile_spec
 from .compiled import ArmAddresses, ClothAddresses, CompiledScene, FingerAddresses, GeomOwnerKind, Ids
 from .compose import READING_SUFFIX, WELD_NAME, compose_scene, visual_mesh_sets
@@ -163,7 +163,7 @@ def _cloth_addresses(model: mujoco.MjModel, config: RecordConfig, item: ObjectCo
         dof=np.array([[joint.dofadr[0] for joint in axes] for axes in joints]),
         constraints=np.array(
             [
-                [model.equality(cloth_constraint_name(prefix, name, k)).id for k in range(len(rest))]
+                [model.equality(cloth_grasp_constraint_name(prefix, name, k)).id for k in range(len(rest))]
                 for prefix in prefixes
             ]
         ),

@@ -120,14 +120,14 @@ def set_cloth_options(spec: mujoco.MjSpec, cloth: Cloth) -> None:
         spec.option.solver, spec.option.tolerance = mujoco.mjtSolver.mjSOL_CG, _TOLERANCE
 
 
-def add_cloth_constraints(spec: mujoco.MjSpec, item: ObjectConfig, rig: RigConfig) -> None:
-    """Add inactive constraints by which each hand of a rig can hold each point of a cloth."""
+def add_cloth_grasp_constraints(spec: mujoco.MjSpec, item: ObjectConfig, rig: RigConfig) -> None:
+    """Add constraints by which each hand of a rig can hold each point of a cloth. They are inactive at first."""
     assert item.cloth is not None  # only called for cloth
     columns, rows = item.cloth.grid
     for arm in rig.arms:
         for k in range(columns * rows):
             added = spec.add_equality(
-                name=cloth_constraint_name(arm.prefix, item.name, k),
+                name=cloth_grasp_constraint_name(arm.prefix, item.name, k),
                 type=mujoco.mjtEq.mjEQ_CONNECT,
                 objtype=mujoco.mjtObj.mjOBJ_BODY,
                 name1=f"{item.name}_{k}",
@@ -139,6 +139,6 @@ def add_cloth_constraints(spec: mujoco.MjSpec, item: ObjectConfig, rig: RigConfi
                 added.solimp[:2] = _GRASP_SOLIMP
 
 
-def cloth_constraint_name(prefix: str, cloth: str, point: int) -> str:
+def cloth_grasp_constraint_name(prefix: str, cloth: str, point: int) -> str:
     """Return the name of the constraint by which the arm with `prefix` can hold a point of a cloth."""
     return f"{prefix}{cloth}_{point}_grip"

@@ -16,7 +16,7 @@ from .arm_model import arm_spec, show_meshes_or_primitives
 from .assets import AssetStore, resolve_user_set
 from .blueprint import Blueprint, TaskPhysics
 from .cameras import add_camera
-from .cloth import add_cloth_constraints, set_cloth_options
+from .cloth import add_cloth_grasp_constraints, set_cloth_options
 from .compilation import compile_spec
 from .environment import add_background, add_lights, add_table, apply_quality
 from .fiducials import add_base_board
@@ -63,7 +63,7 @@ def compose_scene(blueprint: Blueprint, locations: Locations) -> mujoco.MjSpec:
         add_object(spec, item, meshes)
         if item.cloth is not None:
             set_cloth_options(spec, item.cloth)
-            add_cloth_constraints(spec, item, rig)
+            add_cloth_grasp_constraints(spec, item, rig)
     _add_surroundings(spec, blueprint, bases)
     add_randomized_parts(spec, blueprint.randomization, meshes)
     if blueprint.pictures is not None:

@@ -10,7 +10,7 @@ import numpy as np
 from ..attempt_data import AttemptJob
 from ..config.goals.role_assignment import RoleAssignment
 from ..config.goals.world import TABLE
-from ..config.program_task import ProgramTask, Start, StartOrientation
+from ..config.program_task import ObjectStartRanges, ProgramTask, StartOrientation
 from ..config.scene import Table
 from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from .random_streams import Stream, random_generator
@@ -104,7 +104,7 @@ def _sample_all_placements(
 
 
 def _sample_placement(
-    start: Start,
+    start: ObjectStartRanges,
     on: str,
     name: str,
     placed: Mapping[str, ObjectPlacement],

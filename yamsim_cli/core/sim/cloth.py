@@ -35,7 +35,7 @@ _MAX_HEADING = 0.5  # rad, from a lifted point's path to the direction to the cl
 # Crumpled cloth must not pass through itself or into the table.
 _MAX_DROPS = 40  # if all have faults (crossings, sunk points, too flat), the best is used
 _MAX_SINK_LAYERS = 0.5  # thicknesses below the flat cloth, from which a point counts as sunk into its support
-_MIN_CRUMPLED_LAYERS = 4.0  # layer thicknesses, height of crumpled cloth
+_MIN_CRUMPLED_HEIGHT_LAYERS = 4.0  # thicknesses of the cloth; below this height, a drop counts as too flat
 _MAX_SETTLE_RUNS = 3  # runs of `settle_objects` after a drop; cloth takes longer to come to rest than other objects
 
 _REST_SECONDS = 0.5  # after the points of a pull are released
@@ -96,7 +96,7 @@ class ClothState:
         return bool(self._data.eq_active[self._cloth.constraints[arm]].any())
 
 
-class ClothConstraints:
+class ClothGraspConstraints:
     """Switches the constraints that hold cloth in hands, because friction does not hold a grid of points.
 
     A hand grasps every point between its pads when both fingers are closed, touch the cloth and press. The hand
@@ -211,7 +211,7 @@ def crumple_cloth(
     while len(tried) < _MAX_DROPS and 0 not in faults:
         tried.append(drop_cloth(scene, start, sheet, rng, share, timestep))
         points = sheet.points(tried[-1])
-        low = float(np.ptp(points[:, 2])) < (_MIN_CRUMPLED_LAYERS - 1) * sheet.thickness
+        low = float(np.ptp(points[:, 2])) < (_MIN_CRUMPLED_HEIGHT_LAYERS - 1) * sheet.thickness
         faults.append(count_self_intersections(points, ends, corners) + low + int((points[:, 2] < lowest).sum()))
     return tried[int(np.argmin(faults))]
 

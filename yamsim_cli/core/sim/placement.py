@@ -23,7 +23,10 @@ _MAX_OVERLAP = 5e-4  # m, penetration up to which a contact is no collision
 
 
 class DistractorPlacer:
-    """Samples places for a recording's distractors in a copy of a scene without variations."""
+    """Samples places for a recording's distractors.
+
+    It works in its own copy of the scene's model. Only the distractors' places vary there; physics and looks do not.
+    """
 
     def __init__(self, config: RecordConfig, scene: CompiledScene) -> None:
         self._distractors = config.randomization.distractors

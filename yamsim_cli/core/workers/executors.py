@@ -16,8 +16,8 @@ JobIn = TypeVar("JobIn", contravariant=True)
 ResultOut = TypeVar("ResultOut", covariant=True)
 
 
-class JobRunner(Protocol[JobIn, ResultOut]):
-    """Runs jobs in a worker. A runner is opened once in the worker's process, and then runs one job after the other."""
+class SingleJobRunner(Protocol[JobIn, ResultOut]):
+    """Runs single jobs in a worker. It is opened once in the worker's process, and then runs one job after another."""
 
     def run(self, job: JobIn) -> ResultOut:
         """Return the result of a job, which depends only on the job."""
@@ -25,7 +25,7 @@ class JobRunner(Protocol[JobIn, ResultOut]):
 
 
 # Creates the runner of a worker, as a context manager; must be picklable.
-OpenRunner = Callable[[], AbstractContextManager[JobRunner[J, R]]]
+OpenRunner = Callable[[], AbstractContextManager[SingleJobRunner[J, R]]]
 
 
 class WorkerBugError(RuntimeError):

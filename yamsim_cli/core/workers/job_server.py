@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from ..errors import YamsimError
-from .executors import JobRunner, OpenRunner
+from .executors import OpenRunner, SingleJobRunner
 from .worker_pool import JobFailed, JobFinished, WorkerCrashed, WorkerEvent, WorkerReady
 
 # All processes of the parent's group receive these signals, but only the parent reacts.
@@ -27,12 +27,12 @@ ANSWER_HEADER = struct.Struct("!QQ")
 class WorkerJobRunner:
     """Creates a runner, and then runs one job after the other.
 
-    `create_runner` and `run` return a pickled `worker_pool.Event`, which also reports errors, and never raise.
+    `create_runner` and `run` return a pickled `WorkerEvent`, which also reports errors, and never raise.
     """
 
     def __init__(self) -> None:
         self._stack = contextlib.ExitStack()
-        self._runner: JobRunner[Any, Any] | None = None
+        self._runner: SingleJobRunner[Any, Any] | None = None
 
     @property
     def is_ready(self) -> bool:
@@ -40,7 +40,7 @@ class WorkerJobRunner:
         return self._runner is not None
 
     def create_runner(self, factory: bytes) -> bytes:
-        """Create the runner from a pickled `executors.Factory`, and return a pickled event: `WorkerReady` or an error.
+        """Create the runner from a pickled `OpenRunner`, and return a pickled event: `WorkerReady` or an error.
 
         Unpickling imports the runner's modules, which takes seconds.
         """
@@ -55,7 +55,7 @@ class WorkerJobRunner:
     def run(self, job: Any) -> bytes:
         """Run one job, and return a pickled event: `JobFinished` with the result, or an error."""
         runner = self._runner
-        assert runner is not None, "call open first"
+        assert runner is not None, "call create_runner first"
         return _run_to_event(lambda: JobFinished(runner.run(job)))
 
     def close(self) -> None:
@@ -66,7 +66,7 @@ class WorkerJobRunner:
 def serve_jobs(pipe: Connection, factory: bytes) -> None:
     """Answer jobs from a pipe until it closes.
 
-    The pipe delivers numbered jobs, and takes pickled `worker_pool.Event`s, each after a `ANSWER_HEADER`.
+    The pipe delivers numbered jobs, and takes pickled `WorkerEvent`s, each after an `ANSWER_HEADER`.
     """
     # The parent closed the pipe, or has ended.
     with contextlib.closing(WorkerJobRunner()) as server, contextlib.suppress(EOFError, OSError):

@@ -89,7 +89,7 @@ class BoardDetection:
     advice: tuple[str, ...] = ()
 
     @property
-    def explanation(self) -> str:
+    def failure_explanation(self) -> str:
         """The reason and the advice, for users; empty for OK."""
         return f"{self.reason}; advice: {', '.join(self.advice)}" if self.advice else self.reason
 

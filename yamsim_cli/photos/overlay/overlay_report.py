@@ -14,7 +14,7 @@ from yamsim_cli.core.files.writing import write_output
 from yamsim_cli.core.geometry.se3 import Array, invert_pose
 
 from .move_detection import DetectedMove, MoveReport
-from .photo_arm_poses import STATUS_INFERRED, STATUS_RECORDED, ArmBasePose, RigInPhoto
+from .photo_arm_poses import STATUS_INFERRED_FROM_OTHER_BOARD, STATUS_RECORDED, ArmBasePose, RigInPhoto
 
 REPORT_NAME = "overlay.json"
 
@@ -73,7 +73,9 @@ def photo_captions(result: RigInPhoto) -> list[str]:
     lines = []
     for arm in result.arms:
         text = f"{arm.name}: {arm.status}"
-        if arm.detection and (arm.detection.markers or arm.status not in (STATUS_INFERRED, STATUS_RECORDED)):
+        if arm.detection and (
+            arm.detection.markers or arm.status not in (STATUS_INFERRED_FROM_OTHER_BOARD, STATUS_RECORDED)
+        ):
             text += f", {len(arm.detection.markers)}/{len(arm.detection.board.marker_ids)} markers"
             if arm.detection.reprojection_rms is not None:
                 text += f", {arm.detection.reprojection_rms:.2f} px"
@@ -108,7 +110,9 @@ def _nothing_found_message(results: Sequence[RigInPhoto], rig: RigConfig) -> str
     seen = ", ".join(map(str, first.ids)) or "none"
     focal = first.lens.focal.reason
     refused = [
-        f"{arm.name}: {arm.detection.explanation}" for arm in first.arms if arm.detection and arm.detection.reason
+        f"{arm.name}: {arm.detection.failure_explanation}"
+        for arm in first.arms
+        if arm.detection and arm.detection.reason
     ]
     # All arms share the lens, so its problem is named once.
     why = f"; {focal if focal else '; '.join(refused)}" if refused else ""

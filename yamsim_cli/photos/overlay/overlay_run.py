@@ -55,8 +55,8 @@ class OverlayRequest:
         trust_margin: take the rig's relative arm poses as exact, and fit one rig pose.
         refine: move poses until outlines match the photo's edges.
         opacity: of the rendered arms, 0..1.
-        video: MP4 file of all pictures, which is replaced.
-        frame_period: of the video, s.
+        output_video: MP4 file to write, with all pictures; an existing file is replaced.
+        frame_period: of the output video, s.
         max_reprojection: RMS error of a board's markers, px.
         min_iou: overlap of rendered and given mask, 0..1.
         fail_if_moved: a move of the camera or a base is a failure.
@@ -69,7 +69,7 @@ class OverlayRequest:
     refine: bool = False
     opacity: float = 0.55
     limits: PoseLimits = DEFAULT_POSE_LIMITS
-    video: Path | None = None
+    output_video: Path | None = None
     frame_period: float = 1 / 15
     max_reprojection: float | None = None
     min_iou: float | None = None
@@ -150,7 +150,9 @@ def run_overlays(
     lenses = PhotoCameras(rig, [job.photo.path for job in jobs], request.camera)
     with ExitStack() as stack:
         renderers = stack.enter_context(ArmRenderers(rig, scene, quality, locations))
-        video = request.video and stack.enter_context(VideoWriter(request.video, request.frame_period, overwrite=True))
+        video = request.output_video and stack.enter_context(
+            VideoWriter(request.output_video, request.frame_period, overwrite=True)
+        )
         size: tuple[int, ...] = ()
         found: RigInPhoto | None = None
         for k, job in enumerate(jobs):
@@ -179,8 +181,8 @@ def run_overlays(
     report.move_report = find_moves(report.results)
     if request.fail_if_moved:
         report.failures += [describe_move(move) for move in report.move_report.moves]
-    if request.video:
-        report.files.append(request.video)
+    if request.output_video:
+        report.files.append(request.output_video)
     report.write_report(request.out)
     return report
 
@@ -249,7 +251,7 @@ def _violated_limits(result: RigInPhoto, request: OverlayRequest) -> list[str]:
             continue
         rms = arm.detection.reprojection_rms
         if arm.detection.status is not BoardStatus.OK:
-            found.append(f"{result.path}: {arm.name} is not located: {arm.detection.explanation}")
+            found.append(f"{result.path}: {arm.name} is not located: {arm.detection.failure_explanation}")
         elif rms is not None and rms > request.max_reprojection:
             found.append(
                 f"{result.path}: {arm.name}'s reprojection error of {rms:.2f} px is above "

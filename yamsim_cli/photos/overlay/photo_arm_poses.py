@@ -20,7 +20,7 @@ from ..fiducials.markers import sorted_marker_ids
 from .photo_cameras import PhotoCamera
 from .photos import Photo, PlacedCamera
 
-STATUS_INFERRED = "inferred"  # arm status: pose from the other board and the rig
+STATUS_INFERRED_FROM_OTHER_BOARD = "inferred"  # arm status: pose from the other board and the rig
 STATUS_RECORDED = "recorded"  # arm status: pose from the recording
 STATUS_CALIBRATED = "calibrated"  # arm status: pose from a calibration of the station
 STATUS_NO_BOARD = "no_board"  # arm status: no board in the rig, pose unknown
@@ -42,7 +42,7 @@ class ArmBasePose:
 
     Attributes:
         board: name, if the arm has one.
-        status: the board's `BoardStatus`, STATUS_INFERRED, STATUS_RECORDED, STATUS_CALIBRATED or
+        status: the board's `BoardStatus`, STATUS_INFERRED_FROM_OTHER_BOARD, STATUS_RECORDED, STATUS_CALIBRATED or
             STATUS_NO_BOARD.
         T_base_in_cam: pose (4, 4); None if unknown.
         edge_residual: median distance of the rendered outline to edges, px; None if not measured.
@@ -297,5 +297,5 @@ def _pose_by_trusted_margin(rig: RigConfig, result: RigInPhoto, grey: NDArray[np
         if k in found:
             arms.append(replace(arm, detection=found[k], T_base_in_cam=T))
         else:
-            arms.append(_with_replaced_pose(arm, STATUS_INFERRED, T))
+            arms.append(_with_replaced_pose(arm, STATUS_INFERRED_FROM_OTHER_BOARD, T))
     return replace(result, arms=tuple(arms))

@@ -83,9 +83,9 @@ class SteppedTask(Closable):
         raise self._no_start_error(job, "has a start")
 
     def begin_demonstrated(self, job: AttemptJob) -> ActionSequence:
-        """Begin the trial `job`, or the next one in which the scripted expert succeeds, as `yamsim record` starts it.
+        """Begin the trial `job`, or the next trial in which the scripted expert succeeds. Return the expert's actions.
 
-        Return the expert's actions.
+        The trial starts like the attempt that `yamsim record` records: same objects, poses, distractors and looks.
         """
         for attempt in self._sampled_attempts(job):
             done = simulate_expert(self.simulator, attempt)

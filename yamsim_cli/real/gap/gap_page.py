@@ -23,7 +23,7 @@ from yamsim_cli.core.markup import (
 from yamsim_cli.plots import Values, plot_curves
 
 _UNKNOWN_VALUE_TEXT = "\N{EM DASH}"  # figures that the recordings do not determine
-_MIN_ERROR_SPAN = 0.2  # mrad, vertical range of an error plot
+_MIN_ERROR_SPAN_MRAD = 0.2  # mrad, vertical range of an error plot
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def _joint_plots_section(joints: Sequence[JointCurves], worst: Mapping[str, Any]
         error = (joint.measured - joint.simulated) * 1000
         title = f"{joint.name}: error"
         error_plot = plot_curves(
-            title, joint.times, {"error-curve": error}, "mrad", joint.worst_error_time, _MIN_ERROR_SPAN
+            title, joint.times, {"error-curve": error}, "mrad", joint.worst_error_time, _MIN_ERROR_SPAN_MRAD
         )
         panels += [
             captioned_plot(joint.name, plot_curves(joint.name, joint.times, lines, "rad", joint.worst_error_time), ""),

@@ -96,8 +96,8 @@ class _LinearizedFit:
         return self._problem.weighted_normal_matrix(self.error_jacobian)
 
     @property
-    def gradient(self) -> Array:
-        return self._problem.weighted_gradient(self.error_jacobian, self.errors, self.values)
+    def right_hand_side(self) -> Array:
+        return self._problem.weighted_right_hand_side(self.error_jacobian, self.errors, self.values)
 
 
 class _ParameterProblem(LeastSquares[PlantParameters, _LinearizedFit]):
@@ -130,7 +130,7 @@ class _ParameterProblem(LeastSquares[PlantParameters, _LinearizedFit]):
         found: Array = flat.T @ flat + np.diag(self._precision)
         return found
 
-    def weighted_gradient(self, slopes: Array, errors: Array, values: PlantParameters) -> Array:
+    def weighted_right_hand_side(self, slopes: Array, errors: Array, values: PlantParameters) -> Array:
         pulled = np.einsum("ijk,ij->k", slopes, errors * self.weights**2)
         found: Array = -pulled - np.sqrt(self._precision) * self.prior_residuals(values)
         return found
@@ -196,7 +196,9 @@ def fit_parameters(arm: ArmConfig, logs: Sequence[ArmLog], step: Callable[[], No
         problem = _ParameterProblem(fine, fine_runs, 1 / np.maximum(spread, _MIN_ERROR), step)
         errors = problem.joint_errors(values)
         moved = np.asarray(
-            np.linalg.solve(problem.weighted_normal_matrix(slopes), problem.weighted_gradient(slopes, errors, values)),
+            np.linalg.solve(
+                problem.weighted_normal_matrix(slopes), problem.weighted_right_hand_side(slopes, errors, values)
+            ),
             dtype=np.float64,
         )
         if np.abs(moved).max() < _MIN_STEP:

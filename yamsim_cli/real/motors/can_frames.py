@@ -14,7 +14,7 @@ _MAX_DATA_BYTES = 8
 BROADCAST_ID = 0x7FF  # register and status frames, which all motors receive; the data names one motor
 # Last byte of a special command, after seven bytes 0xFF. Source: DAMIAO's DM-J43 manual, "MIT mode".
 CLEAR_ERROR, ENABLE, DISABLE, SET_ZERO = 0xFB, 0xFC, 0xFD, 0xFE
-# Third byte of a frame to TO_ALL: register access or status request. Source: DAMIAO's DM-J43 manual.
+# Third byte of a frame to BROADCAST_ID: register access or status request. Source: DAMIAO's DM-J43 manual.
 READ, WRITE, SAVE, REFRESH = 0x33, 0x55, 0xAA, 0xCC
 # N m/rad and N m s/rad, in MIT frames of all emulated motors. Source: DAMIAO's DM-J43 manual.
 KP_MAX, KD_MAX = 500.0, 5.0

@@ -169,7 +169,7 @@ class IkSolver:
         return None
 
     def may_be_reachable(self, T_tool_in_world: Array, tolerance: Tolerance) -> Array:
-        """Return which poses (n, 4, 4) `solve_from` may reach without tilt, as (n,); it cannot reach the others."""
+        """Return a flag (n,) for each pose (n, 4, 4). False: `solve_from` cannot reach the pose without tilt."""
         if self._analytic is None:
             return np.ones(len(T_tool_in_world), bool)
         T_flange_in_base = self._T_world_in_base @ T_tool_in_world @ self._T_flange_in_tool

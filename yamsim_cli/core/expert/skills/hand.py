@@ -95,7 +95,7 @@ class Hand:
         return self.ik.solve_from(T_pinch_in_world, seeds, self._with_planning_limits(tolerance))
 
     def may_be_reachable(self, T_pinch_in_world: Array, tolerance: Tolerance = GRASP_TOLERANCE) -> Array:
-        """Return which poses (n, 4, 4) `solve_ik` may reach, as (n,); others are out of reach."""
+        """Return a flag (n,) for each pose (n, 4, 4). False: `solve_ik` cannot reach the pose without tilt."""
         return self.ik.may_be_reachable(T_pinch_in_world, self._with_planning_limits(tolerance))
 
     def _with_planning_limits(self, tolerance: Tolerance) -> Tolerance:

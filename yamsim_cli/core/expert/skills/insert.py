@@ -14,7 +14,8 @@ from .planning_context import PlanningContext
 
 # m, grid of places in a container. The finer step is used if no place of the coarse grid is free down to the floor.
 _GRID_STEPS = (0.03, 0.01)
-_FLOOR_MARGIN = 0.02  # m above a container's lowest point; an object whose lowest point is lower stands on the floor
+# m above a container's lowest point; an object with a lowest point below this counts as standing on the floor.
+_FLOOR_MARGIN = 0.02
 _HEIGHT_STEP = 0.01  # m, resolution of resting heights; at equal height the more central place is better
 
 # share of a fallen object's volume in the container, from which it counts as inserted; tall objects stick out

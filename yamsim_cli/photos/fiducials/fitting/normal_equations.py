@@ -211,7 +211,7 @@ class NormalEquations:
     """Normal equations over all parameters, with statistics of the residuals.
 
     Attributes:
-        full_normal, full_gradient: (k, k) and (k,), over all parameters.
+        full_normal, full_right_hand_side: (k, k) and (k,), over all parameters.
         misfit: weighted sum of squared residuals, grey levels squared.
         weight: sum of the weights.
         noise: sigma of the residuals, grey levels, assumed for the weights or estimated.
@@ -220,7 +220,7 @@ class NormalEquations:
     """
 
     full_normal: Array
-    full_gradient: Array
+    full_right_hand_side: Array
     misfit: float
     weight: float
     pixels: int
@@ -234,9 +234,9 @@ class NormalEquations:
         return self.full_normal[np.ix_(self.free_parameters, self.free_parameters)]
 
     @property
-    def gradient(self) -> Array:
+    def right_hand_side(self) -> Array:
         """The right-hand side (f,) over the fitted parameters."""
-        return self.full_gradient[list(self.free_parameters)]
+        return self.full_right_hand_side[list(self.free_parameters)]
 
     @property
     def cost(self) -> float:

@@ -222,11 +222,11 @@ class _PoseProblem(PrintProblem[_PoseState]):
         if system is None or self._log_scale is None:
             return system
         strength, missing = (system.noise / self._log_scale.sigma) ** 2, self._log_scale.mean - state.log_scale
-        normal, gradient = system.full_normal.copy(), system.full_gradient.copy()
+        normal, right_hand_side = system.full_normal.copy(), system.full_right_hand_side.copy()
         normal[_LOG_SCALE, _LOG_SCALE] += strength
-        gradient[_LOG_SCALE] += strength * missing
+        right_hand_side[_LOG_SCALE] += strength * missing
         misfit = system.misfit + strength * missing**2
-        return replace(system, full_normal=normal, full_gradient=gradient, misfit=misfit)
+        return replace(system, full_normal=normal, full_right_hand_side=right_hand_side, misfit=misfit)
 
     def _pose_columns(self, pixels: PixelDerivatives, piece: PrintedBoard, T: Array, larger: float) -> Array:
         """Return print derivatives (n, 7 + k) by rotation, shift, log scale, and k lens parameters."""
@@ -266,11 +266,13 @@ class _PoseProblem(PrintProblem[_PoseState]):
         if system is None:
             return found
         free, boards = list(system.free_parameters), [view.piece.board for view in self._views]
-        known = len(system.full_gradient) - sum(mode_count(board) for board in boards)
+        known = len(system.full_right_hand_side) - sum(mode_count(board) for board in boards)
         held = [k for k in range(known) if k not in free]
         variance = (SIGMA_INFLATION * found.noise) ** 2
         try:
-            pose_of = marginalize_modes(system.full_normal, system.full_gradient, variance, free, held, boards, creased)
+            pose_of = marginalize_modes(
+                system.full_normal, system.full_right_hand_side, variance, free, held, boards, creased
+            )
         except np.linalg.LinAlgError:
             return found
         turns = [free.index(k) for k in range(_POSE.start, _POSE.stop)]
@@ -321,8 +323,8 @@ class _PoseProblem(PrintProblem[_PoseState]):
 
     def alignment_at(self, state: _PoseState, system: NormalEquations) -> Alignment | None:
         normal, free = system.normal_matrix, list(system.free_parameters)
-        held = [k for k in range(len(system.full_gradient)) if k not in free]
-        moves = np.zeros((len(free), len(system.full_gradient)))
+        held = [k for k in range(len(system.full_right_hand_side)) if k not in free]
+        moves = np.zeros((len(free), len(system.full_right_hand_side)))
         try:
             covariance: Array = np.linalg.inv(normal).astype(np.float64) * system.noise**2
             moves[:, held] = -np.linalg.solve(normal, system.full_normal[np.ix_(free, held)])

@@ -102,7 +102,7 @@ def _shape_hypotheses(
 
 def marginalize_modes(
     normal: Array,
-    gradient: Array,
+    right_hand_side: Array,
     variance: float,
     free: list[int],
     held: list[int],
@@ -112,7 +112,7 @@ def marginalize_modes(
     """Marginalize the shape and placement modes, the last parameters, out of the equations.
 
     Args:
-        normal, gradient: (k, k) and (k,), from residuals of variance `variance`.
+        normal, right_hand_side: (k, k) and (k,), from residuals of variance `variance`.
         free: indices of the fitted parameters.
         held: indices of the parameters kept fixed.
         creased: prior probability of a creased print.
@@ -122,16 +122,16 @@ def marginalize_modes(
     """
     count = len(free)
     steps, covariances, moves, evidence, folds = [], [], [], [], []
-    for modes, sigmas, share in _shape_hypotheses(boards, len(gradient), creased):
+    for modes, sigmas, share in _shape_hypotheses(boards, len(right_hand_side), creased):
         every, prior = [*free, *modes], np.array([0.0] * count + sigmas)
         precision: NDArray[np.float64] = np.divide(1.0, prior**2, out=np.zeros_like(prior), where=prior > 0)
         A = normal[np.ix_(every, every)] / variance + np.diag(precision)
         scale = 1 / np.sqrt(np.diag(A))
         inverse = np.linalg.inv(A * np.outer(scale, scale)) * np.outer(scale, scale)
-        step = inverse @ gradient[every] / variance
+        step = inverse @ right_hand_side[every] / variance
         _, log_determinant = np.linalg.slogdet(A * np.outer(scale, scale))
         log_determinant -= 2 * np.log(scale).sum()
-        fit = 0.5 * float(gradient[every] @ step) / variance
+        fit = 0.5 * float(right_hand_side[every] @ step) / variance
         evidence.append(math.log(share) + fit - 0.5 * log_determinant - np.log(prior[count:]).sum())
         steps.append(step[:count])
         of_fold = prior == _FOLD_SIGMA

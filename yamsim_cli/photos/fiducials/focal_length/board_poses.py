@@ -192,9 +192,9 @@ class _LinearizedPoses:
         return normal
 
     @property
-    def gradient(self) -> Array:
-        gradient: Array = -np.einsum("nij,ni->nj", self.by_pose, self.residual)
-        return gradient
+    def right_hand_side(self) -> Array:
+        right_hand_side: Array = -np.einsum("nij,ni->nj", self.by_pose, self.residual)
+        return right_hand_side
 
 
 class _BoardPosesProblem(LeastSquares[PosesPerFocalLength, _LinearizedPoses]):

@@ -146,7 +146,7 @@ class _LensEquations:
         return np.nan_to_num(self.half_hessian) + np.diag(_LENS_SIGMAS**-2.0)
 
     @property
-    def gradient(self) -> Array:
+    def right_hand_side(self) -> Array:
         return -np.nan_to_num(self.half_gradient + _LENS_SIGMAS**-2.0 * self.lens)
 
     def lens_covariance(self) -> Array:

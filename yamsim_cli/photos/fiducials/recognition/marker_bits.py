@@ -25,10 +25,11 @@ _MIN_PIXELS = 12  # pixels of a marker; below, its bits are not estimated
 
 @dataclass(frozen=True)
 class BitEvidence:
-    """The agreement of bits in a photo with a board's.
+    """How well the marker bits in a photo agree with the true bits of a board.
 
     Attributes:
-        log_chance_bound: log of a bound on the probability of chance agreement at one pose.
+        log_chance_bound: log of an upper bound on the probability that the bits agree by chance at a single pose. A
+            search over many poses has to allow for their number.
         markers: indices into `board.ids` of agreeing markers.
         agreement: marker -> dot product of its estimated bits, of norm 1, and true bits (-1 and 1).
     """

@@ -1,4 +1,4 @@
-"""Photos in scene configs, as text, so that a dataset's config contains all that its images need."""
+"""Photos embedded in scene configs as text, so that a dataset's config contains all that its images need."""
 
 from __future__ import annotations
 
