@@ -63,7 +63,7 @@ def test_a_file_may_name_or_spell_out_a_randomization(tmp_path: Path, locations:
         ("{lens: [-1, 1]}", "randomization.lens: unknown key; did you mean 'lens_deg'?"),
         ("{mass: [0, 1]}", "randomization.mass: [0, 1] is not valid: factors must be above 0"),
         ("{mass: [2, 1]}", "a range is [low, high]"),
-        ("{table: {saturation: [0, 1], value: [0, 1], contrast: [0, 1], textures: {wood: 1}}}", "wood"),
+        ("{table: {saturation: [0, 1], value: [0, 1], contrast: [0, 1], textures: {wod: 1}}}", "wod"),
         (
             "{distractors: {objects: [aple], count: [0, 1], x: [0, 1], y: [0, 1], clearance: 0.1}}",
             "randomization.distractors.objects[0]: unknown object 'aple'; did you mean '013_apple'?",

@@ -23,6 +23,8 @@ Look = Callable[..., tuple[MeshFolders, list[str]]]
 def look(world: AssetFixture, local_pip: None, monkeypatch: pytest.MonkeyPatch) -> Look:
     """Look for the small set as a command does. Return the folders of meshes, and the notes to the user."""
     monkeypatch.setenv("MENAGERIE_ROOT", str(world.index))
+    # pip starts within this time also on a busy machine.
+    monkeypatch.setattr(sys.modules[default_sources.__module__], "MAX_IDLE_S", 120.0)
 
     def found(**environ: str) -> tuple[MeshFolders, list[str]]:
         told = list[str]()

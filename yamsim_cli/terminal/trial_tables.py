@@ -91,7 +91,7 @@ def _evaluation_rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
             f"{chunks['actions']} in {chunks['chunks']} chunks; {chunks['stale']} came too late, "
             f"and for {chunks['waited_s']:.2f} s no action was available",
         )
-    for key, label in (("offset_m", "mean offset from the target"), ("offset_in_hand_m", "mean offset in the hand")):
+    for key, label in (("offset_m", "offset from the target"), ("offset_in_hand_m", "offset in the hand")):
         if found := stats.get(key):
             yield label, _offset_text(found)
     if len(stats["by_instance"]) > 1:
@@ -120,9 +120,9 @@ def _spread_text(spread: dict[str, float], thousandths: str) -> str:
 
 
 def _offset_text(offset: dict[str, Any]) -> str:
-    """Return mean and standard deviation by axis, such as "x +1.0 mm (3.0), y -2.0 mm (4.0)"."""
+    """Return mean and standard deviation by axis, such as "mean x +1.0 mm (3.0), y -2.0 mm (4.0)"."""
     values = zip("xyz", offset["mean"], offset["deviation"], strict=False)
-    return ", ".join(f"{axis} {mean * 1000:+.1f} mm ({deviation * 1000:.1f})" for axis, mean, deviation in values)
+    return "mean " + ", ".join(f"{axis} {mean * 1000:+.1f} mm ({dev * 1000:.1f})" for axis, mean, dev in values)
 
 
 def _film_rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
