@@ -28,7 +28,7 @@ from yamsim_cli.core.episode.attempt_payload import render_cameras
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.rendering.incremental_renderer import IncrementalRenderer
-from yamsim_cli.core.rendering.pixel_boxes import PixelBox
+from yamsim_cli.core.rendering.pixel_boxes import ScissorBox
 from yamsim_cli.core.rendering.renderer import SceneRenderer
 
 # Pass -> method of a class, and whether it calls OpenGL.
@@ -40,7 +40,7 @@ _PASSES: dict[str, tuple[type, str, bool]] = {
     "geoms, lights and sky": (IncrementalRenderer, "_draw_image", True),
     "averaging, flipping": (SceneRenderer, "_average_pixels", False),
 }
-_ONE_PIXEL = PixelBox(0, 0, 1, 1)
+_ONE_PIXEL = ScissorBox(0, 0, 1, 1)
 
 
 @contextmanager
