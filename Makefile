@@ -13,8 +13,8 @@ READY := $(VENV)/.ready
 READY_DEV := $(VENV)/.ready-dev
 PIP := $(PYTHON_BIN) -m pip install -q --disable-pip-version-check
 DEMO := out/demo
-# One worker more than cores, because tests wait for processes, files and time limits for a quarter of their time.
-TEST_WORKERS := $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
+# Two workers more than cores, because tests wait for processes, files and time limits for a quarter of their time.
+TEST_WORKERS := $(shell expr $$(getconf _NPROCESSORS_ONLN) + 2)
 
 .DEFAULT_GOAL := help
 .PHONY: help setup setup-dev gl meshes test-programs demo test test-slow test-clients test-clients-heavy test-all golden-update pictures lint type bench bench-fiducials docs build lock clean

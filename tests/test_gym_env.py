@@ -101,6 +101,7 @@ def test_two_arms_hand_over(make_config: Callable[..., RecordConfig], locations:
     assert done and info["success"]
 
 
+@pytest.mark.slow
 def test_a_task_that_is_data_is_one_too(tmp_path: Path) -> None:
     """Its expert's actions, replayed through the environment, reach the goal; object poses are named by roles."""
     task = str(written(tmp_path, ONTO_PLATE))

@@ -4,8 +4,9 @@
     yamsim eval --policy tools/picture_policy.py:PicturePolicy --policy-arg weights=picture_policy.pt \
         --trained-on demos --execute 2 --ensemble 0.01
 
-A convolutional trunk reads the scene camera's image, cropped to the table. A linear layer on its maps and two layers
-on top answer with a chunk of absolute actions. The loss is the mean absolute error (L1).
+One convolutional trunk reads the scene camera's image, cropped to the table, and another one the wrist camera's image,
+at half its size. A linear layer on the maps of each and two layers on top answer with a chunk of absolute actions. The
+loss is the mean absolute error (L1).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import argparse
 import copy
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ from torch import nn
 
 from yamsim_cli import ChunkWindows, ShuffledBatches, open_dataset
 
-CAMERA = "scene_camera"
+SCENE_CAMERA, WRIST_CAMERA = "scene_camera", "right_wrist_camera"
 CROP = (
     0.125,
     0.29,
@@ -68,37 +69,39 @@ class PictureNet(nn.Module):
     """Image and joints to a chunk of actions, all scaled.
 
     Args:
-        height, width: of the cropped image, px.
+        shapes: (height, width) of the scene's and of the wrist's image, px.
         drives, numbers: of the joints, and of an action.
     """
 
-    def __init__(self, height: int, width: int, drives: int, numbers: int) -> None:
+    def __init__(self, shapes: Sequence[tuple[int, int]], drives: int, numbers: int) -> None:
         super().__init__()
-        inner = [
-            layer
-            for _ in range(2)
-            for layer in (nn.Conv2d(CHANNELS, CHANNELS, 3, padding=1), nn.GroupNorm(4, CHANNELS), nn.ReLU())
-        ]
-        self.trunk = nn.Sequential(
-            nn.Conv2d(3, CHANNELS, 5, stride=2, padding=2),
-            nn.ReLU(),
-            *inner,
-            nn.Conv2d(CHANNELS, MAPS, 3, padding=1),
-            nn.ReLU(),
-            nn.Flatten(),
-            nn.Linear(MAPS * math.ceil(height / 2) * math.ceil(width / 2), FEATURES),
-        )
+        self.trunks = nn.ModuleList(_trunk(height, width) for height, width in shapes)
+        width = FEATURES * len(shapes) + drives
         self.head = nn.Sequential(
-            nn.LayerNorm(FEATURES + drives),
-            nn.Linear(FEATURES + drives, FEATURES),
-            nn.ReLU(),
-            nn.Linear(FEATURES, CHUNK * numbers),
+            nn.LayerNorm(width), nn.Linear(width, FEATURES), nn.ReLU(), nn.Linear(FEATURES, CHUNK * numbers)
         )
 
-    def forward(self, image: torch.Tensor, joints: torch.Tensor) -> torch.Tensor:
+    def forward(self, images: Sequence[torch.Tensor], joints: torch.Tensor) -> torch.Tensor:
         """Return actions (batch, chunk, numbers) for images (batch, 3, height, width) and joints (batch, drives)."""
-        features = torch.cat([self.trunk(image), joints], dim=1)
-        return self.head(features).unflatten(1, (CHUNK, -1))
+        features = [trunk(image) for trunk, image in zip(self.trunks, images, strict=True)]
+        return self.head(torch.cat([*features, joints], dim=1)).unflatten(1, (CHUNK, -1))
+
+
+def _trunk(height: int, width: int) -> nn.Sequential:
+    inner = [
+        layer
+        for _ in range(2)
+        for layer in (nn.Conv2d(CHANNELS, CHANNELS, 3, padding=1), nn.GroupNorm(4, CHANNELS), nn.ReLU())
+    ]
+    return nn.Sequential(
+        nn.Conv2d(3, CHANNELS, 5, stride=2, padding=2),
+        nn.ReLU(),
+        *inner,
+        nn.Conv2d(CHANNELS, MAPS, 3, padding=1),
+        nn.ReLU(),
+        nn.Flatten(),
+        nn.Linear(MAPS * math.ceil(height / 2) * math.ceil(width / 2), FEATURES),
+    )
 
 
 def crop(images: np.ndarray) -> np.ndarray:
@@ -108,8 +111,15 @@ def crop(images: np.ndarray) -> np.ndarray:
     return images[..., top:bottom, left:right, :]
 
 
+def halve(images: np.ndarray) -> np.ndarray:
+    """Return images (..., height, width, 3) at half their size; each pixel is the mean of four."""
+    height, width = (size // 2 for size in images.shape[-3:-1])
+    blocks = images[..., : 2 * height, : 2 * width, :].reshape(*images.shape[:-3], height, 2, width, 2, 3)
+    return blocks.mean(axis=(-4, -2)).astype(np.uint8)
+
+
 def to_input(images: np.ndarray) -> torch.Tensor:
-    """Convert cropped images (batch, height, width, 3), uint8, to an input (batch, 3, height, width), -1 to 1."""
+    """Convert images (batch, height, width, 3), uint8, to an input (batch, 3, height, width), -1 to 1."""
     return torch.from_numpy(np.ascontiguousarray(images)).permute(0, 3, 1, 2).float() / 127.5 - 1
 
 
@@ -124,10 +134,10 @@ def train(demos: Path, out: Path, *, steps: int, seed: int, episodes: int | None
     """Train on the first `episodes` of a dataset, write the weights to `out`, and return the last mean loss."""
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
-    windows = ChunkWindows(open_dataset(demos)[:episodes], [CAMERA], chunk=CHUNK)
+    windows = ChunkWindows(open_dataset(demos)[:episodes], [SCENE_CAMERA, WRIST_CAMERA], chunk=CHUNK)
     scaling, first = Scaling.of(windows), windows[0]
-    height, width = crop(first[CAMERA]).shape[:2]
-    net = PictureNet(height, width, first["joints"].size, first["action"].shape[-1])
+    shapes = [image.shape[:2] for image in (crop(first[SCENE_CAMERA]), halve(first[WRIST_CAMERA]))]
+    net = PictureNet(shapes, first["joints"].size, first["action"].shape[-1])
     net = net.to(memory_format=torch.channels_last)
     averaged = copy.deepcopy(net)
     optimizer = torch.optim.AdamW(net.parameters(), LEARNING_RATE, weight_decay=WEIGHT_DECAY)
@@ -141,9 +151,12 @@ def train(demos: Path, out: Path, *, steps: int, seed: int, episodes: int | None
             joints = (torch.from_numpy(window["joints"]) - scaling.joint_mean) / scaling.joint_deviation
             joints = joints + JOINT_NOISE * torch.randn(joints.shape, generator=generator)
             wanted = (torch.from_numpy(window["action"]) - scaling.action_mean) / scaling.action_deviation
-            image = augment(to_input(crop(window[CAMERA])), generator).contiguous(memory_format=torch.channels_last)
+            images = [
+                augment(to_input(image), generator).contiguous(memory_format=torch.channels_last)
+                for image in (crop(window[SCENE_CAMERA]), halve(window[WRIST_CAMERA]))
+            ]
             with torch.autocast("cpu", torch.bfloat16):
-                answer = net(image, joints)
+                answer = net(images, joints)
             loss = nn.functional.l1_loss(answer.float(), wanted)
             optimizer.zero_grad()
             loss.backward()
@@ -162,22 +175,21 @@ def train(demos: Path, out: Path, *, steps: int, seed: int, episodes: int | None
                 )
             if done == steps:
                 break
-    torch.save({"weights": averaged.state_dict(), "scaling": vars(scaling), "shape": (height, width)}, out)
+    torch.save({"weights": averaged.state_dict(), "scaling": vars(scaling), "shapes": shapes}, out)
     return float(np.mean(losses[-100:]))
 
 
 class PicturePolicy:
     """The trained policy for `yamsim eval`."""
 
-    images = ("scene",)
+    images = ("scene", "wrist")
     ticks = TICKS
 
     def __init__(self, weights: str) -> None:
         stored = torch.load(weights, weights_only=True)
-        self._scaling, self._shape = Scaling(**stored["scaling"]), tuple(stored["shape"])
+        self._scaling, self._shapes = Scaling(**stored["scaling"]), [tuple(shape) for shape in stored["shapes"]]
         drives, numbers = len(self._scaling.joint_mean), len(self._scaling.action_mean)
-        height, width = self._shape
-        self._net = PictureNet(height, width, drives, numbers).eval()
+        self._net = PictureNet(self._shapes, drives, numbers).eval()
         self._net.load_state_dict(stored["weights"])
         torch.set_num_threads(1)
 
@@ -186,13 +198,14 @@ class PicturePolicy:
 
     def __call__(self, observation: Mapping[str, Any]) -> dict[str, Any]:
         """Return a chunk of commands and welds."""
-        image = crop(observation["scene_rgb"])
-        if image.shape[:2] != self._shape:
-            raise ValueError(f"the cropped image is {image.shape[:2]}, in training {self._shape}: give --trained-on")
+        images = crop(observation["scene_rgb"]), halve(observation["wrist_rgb"])
+        if (shapes := [image.shape[:2] for image in images]) != self._shapes:
+            raise ValueError(f"the images are {shapes}, in training {self._shapes}: give --trained-on")
         scaling = self._scaling
         joints = torch.from_numpy(np.asarray(observation["joints"], np.float32))
         with torch.inference_mode():
-            answer = self._net(to_input(image[None]), ((joints - scaling.joint_mean) / scaling.joint_deviation)[None])
+            scaled = (joints - scaling.joint_mean) / scaling.joint_deviation
+            answer = self._net([to_input(image[None]) for image in images], scaled[None])
         actions = (answer[0] * scaling.action_deviation + scaling.action_mean).numpy()
         drives = len(joints)
         return {"ctrl": actions[:, :drives], "magnet": actions[:, drives:] > 0.5}

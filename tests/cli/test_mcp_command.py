@@ -97,6 +97,7 @@ def test_without_a_folder_or_the_extra_it_says_so(tmp_path: Path, monkeypatch: p
         make_server(tmp_path, 1)
 
 
+@pytest.mark.slow
 def test_an_agents_program_starts_it_and_gets_reports_and_messages(tmp_path: Path) -> None:
     command = ["-m", "yamsim_cli", "mcp", "--root", str(tmp_path)]
     server = StdioServerParameters(command=sys.executable, args=command, env=dict(os.environ))

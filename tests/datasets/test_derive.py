@@ -77,6 +77,7 @@ def test_datasets_of_other_configs_are_not_merged(tmp_path: Path, dataset: Path)
     assert yamsim("merge", dataset, other, "--out", tmp_path / "both").code == 0
 
 
+@pytest.mark.slow
 def test_an_interrupted_copy_is_not_visible_and_continues(tmp_path: Path, dataset: Path) -> None:
     out = tmp_path / "out"
 

@@ -95,6 +95,7 @@ def test_the_photo_where_the_arm_was_elsewhere_is_the_worst(photographed: Motion
     assert picture is not None and picture.shape == (480, 640, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_a_board_says_where_a_camera_stood_that_nobody_recorded(
     photographed: MotionGap, locations: Locations, tmp_path: Path

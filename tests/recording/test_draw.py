@@ -56,6 +56,7 @@ def frames_of(dataset: Path, episode: int) -> list[dict[str, Any]]:
     return [load_frame(path.read_bytes()) for path in sorted((dataset / f"ep_{episode:06d}" / "lowdim").iterdir())]
 
 
+@pytest.mark.slow
 def test_without_changes_every_image_and_state_has_the_same_bytes(recorded: Path, tmp_path: Path) -> None:
     out = tmp_path / "drawn"
     assert yamsim("draw", recorded, "--out", out, "--workers", "1", "--offline").code == 0

@@ -184,6 +184,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory, handover: RecordConfig, lo
     return path
 
 
+@pytest.mark.slow
 def test_a_recorded_camera_is_given_in_the_first_arms_base(dataset: Path, handover: RecordConfig) -> None:
     photo = episode_photos(dataset / "ep_000000", None, handover.rig)[0]
     frame = read_frame(dataset / "ep_000000", 0)

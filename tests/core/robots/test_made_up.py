@@ -48,6 +48,7 @@ def test_every_body_is_seen_though_nothing_has_a_mesh(locations: Locations) -> N
     assert sum(map(len, seen.values())) == 8
 
 
+@pytest.mark.slow
 def test_the_gripper_fits_a_shipped_arm_too(locations: Locations) -> None:
     words = ["--rig", f"i2rt_yam+{GRIPPER}", "--grasp", "contact", "--n", 1, "--workers", 1]
     assert report("pickplace", "batch", *words)["n_success"] == 1

@@ -97,6 +97,7 @@ def origin(printed: tuple[ImportedObjectFile, Locations]) -> np.ndarray:
     return np.array(printed[0].config.mesh.origin)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reader", ["3.3", "4"])
 def test_a_composed_scene_is_read_back_with_its_picture(
     printed: tuple[ImportedObjectFile, Locations], tmp_path: Path, reader: Any
