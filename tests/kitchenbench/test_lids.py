@@ -64,7 +64,8 @@ def test_the_expert_seals_a_pot_that_is_not_sealed_at_the_start() -> None:
         planning.close()
 
 
-@pytest.mark.parametrize("instance", ["tilted", pytest.param("snap-lid", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("instance", ["tilted", "snap-lid"])
 def test_the_expert_opens_a_lid_with_one_hand_while_the_other_steadies_the_container(instance: str) -> None:
     built, seed = _build("open_container", instance)
     planning = PlanningScene(built, seed, 10)
