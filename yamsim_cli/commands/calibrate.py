@@ -36,7 +36,7 @@ def calibrate(
         typer.Option(
             metavar="NAME[=FILE[:CAMERA]]",
             help="A camera of the episodes, with its calibration (as for overlay); may be repeated.  [default: all "
-            "fixed cameras, with the recorded intrinsics; name wrist cameras to have them too]",
+            "fixed cameras, with the recorded intrinsics; name wrist cameras to include them]",
         ),
     ] = None,
     mapping: Annotated[
@@ -46,12 +46,14 @@ def calibrate(
     check: Annotated[
         Path | None, typer.Option(help="Compare with this calibration.yaml; exit 5 if the pictures contradict it.")
     ] = None,
-    frames: Annotated[int, typer.Option(min=16, max=200, help="Most pictures of each camera.")] = 40,
+    frames: Annotated[int, typer.Option(min=16, max=200, help="Largest number of pictures of each camera.")] = 40,
     max_shift: Annotated[
-        float, typer.Option(min=0, help="Half width of the position's 95 % interval, beyond which it is refused, mm.")
+        float,
+        typer.Option(min=0, help="Largest half width of the position's 95 % interval, mm; else the pose is refused."),
     ] = 5.0,
     max_turn: Annotated[
-        float, typer.Option(min=0, help="Half width of the turn's 95 % interval, beyond which it is refused, degrees.")
+        float,
+        typer.Option(min=0, help="Largest half width of the turn's 95 % interval, degrees; else the pose is refused."),
     ] = 0.5,
     out: Annotated[Path, typer.Option(help="Folder for calibration.yaml, the page and the report.")] = Path(
         "calibration"

@@ -38,7 +38,8 @@ def match(
         str | None, typer.Option(help="With --calibration: the camera that took the photos, if there are several.")
     ] = None,
     joints: Annotated[
-        Path | None, typer.Option(help="Joints in rad, one row or one for each photo: .npy or .yaml; else home.")
+        Path | None,
+        typer.Option(help="Joints in rad, one row for all photos or one for each: .npy or .yaml; else home."),
     ] = None,
     scene: Annotated[
         str, typer.Option(metavar="NAME|FILE", help="Scene with the table's place and size, and the floor's height.")

@@ -9,8 +9,8 @@ from yamsim_cli.terminal.console import print_json
 
 
 def mcp(
-    root: Annotated[Path, typer.Option(metavar="DIRECTORY", help="Folder to which datasets are limited.")] = Path(),
-    seconds: Annotated[float, typer.Option(min=1, max=3600, help="Longest time of a tool's command.")] = 120.0,
+    root: Annotated[Path, typer.Option(metavar="DIRECTORY", help="Folder outside which no dataset is read.")] = Path(),
+    seconds: Annotated[float, typer.Option(min=1, max=3600, help="Longest time of a tool's command, s.")] = 120.0,
     json: Annotated[bool, typer.Option("--json", help="Serve nothing; print the tools as JSON.")] = False,
 ) -> None:
     """Serve read-only commands and `pickplace batch` to a coding agent, on stdin and stdout.

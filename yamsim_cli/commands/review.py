@@ -65,7 +65,7 @@ def review(
     """Look at a dataset on a page of this machine, and keep or drop its episodes. The dataset does not change.
 
     --merge merges the decisions of two reviewers instead. Where they disagree, episodes stay undecided, with exit code
-    6. --diff compares two datasets instead: each value that both know has a test, with Holm's correction.
+    6. --diff compares two datasets instead: each value that both have is tested, with Holm's correction.
 
     Example: yamsim review dataset/
     """
