@@ -36,7 +36,7 @@ EXTRAS = {
     "remote": ("msgpack", "policies in another process, serve-robot --portal"),
     "ray": ("ray", "record --executor ray"),
     "import": ("coacd", "assets import of glTF, SDFormat and other files"),
-    "inspect": ("kitchenbench", "six of KitchenBench's tasks on the station"),
+    "inspect": ("kitchenbench", "eight of KitchenBench's tasks on the station"),
     "mcap": ("mcap", "import of MCAP files"),
     "mcp": ("mcp", "mcp: tools for coding agents"),
     "menagerie": ("mujoco-menagerie", "one more source of meshes"),

@@ -86,7 +86,7 @@ def test_unusable_pictures_are_refused_with_a_remedy(single: RigConfig, tmp_path
 
 @pytest.mark.slow
 def test_a_recorded_camera_is_found_and_checked(tmp_path: Path) -> None:
-    record = ("record", "--task", "pickplace", "--rig", RIG, "--n", "4", "--size", "320x240", "--seed", "5")
+    record = ("record", "--task", "pickplace", "--rig", RIG, "--n", "4", "--size", "320x240", "--seed", "5", "--wrist")
     assert yamsim(*record, "--quality", "balanced", "--out", "data", cwd=tmp_path).code == 0
     limits = ("--frames", "30", "--max-shift", "30", "--max-turn", "2")
     run = yamsim("calibrate", "data", "--rig", RIG, *limits, "--json", cwd=tmp_path)

@@ -116,3 +116,10 @@ def test_flags_that_do_not_fit_are_refused(flags: tuple[str, ...], said: str, tm
     run = yamsim("review", tmp_path, *flags)
     assert run.code == 2
     assert said in run.err
+
+
+@pytest.mark.parametrize("flags", [(), ("--motion",)])
+def test_a_missing_folder_is_one_line(datasets: tuple[Path, Path], tmp_path: Path, flags: tuple[str, ...]) -> None:
+    done = yamsim("review", "--diff", datasets[0], tmp_path / "nowhere", *flags)
+    assert done.code not in (0, 1)
+    assert done.err.strip() == f"yamsim: {tmp_path / 'nowhere'} is no folder; give the folder of a dataset"

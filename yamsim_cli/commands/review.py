@@ -145,6 +145,8 @@ def _compare(paths: list[Path], html: Path | None, motion: bool, overwrite: bool
     if html:
         require_unused_paths("--html", html, overwrite=overwrite)
     for path in paths:
+        if not path.is_dir():
+            raise DatasetError(f"{path} is no folder; give the folder of a dataset")
         _require_dataset(path)
 
     from yamsim_cli.review.dataset_diff import compare_rows

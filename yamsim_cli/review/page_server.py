@@ -7,10 +7,12 @@ while it is open.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 import re
 import secrets
+import socket
 import sys
 import threading
 import time
@@ -109,7 +111,8 @@ class ReviewServer(ThreadingHTTPServer):
         ResourceError: the server cannot listen on the port.
     """
 
-    daemon_threads = True
+    # `server_close` waits for the threads: one that ends inside OpenCV, with the interpreter, aborts the process.
+    daemon_threads = False
     allow_reuse_address = True
 
     def __init__(
@@ -129,6 +132,7 @@ class ReviewServer(ThreadingHTTPServer):
         self._session = secrets.token_hex(4)  # in the addresses of pictures, so that no browser shows older ones
         self._rows = json.dumps(rows, separators=(",", ":"), ensure_ascii=False)
         self.scenes = ScenePlayer()
+        self._connections = set[Any]()
         self.strip = functools.lru_cache(_STRIPS)(self._make_strip)
         self.opened = functools.lru_cache(16)(open_recorded_episode)
         try:
@@ -176,8 +180,22 @@ class ReviewServer(ThreadingHTTPServer):
         """Return the address of the 3D scene of an episode. Raises as `ScenePlayer.play`."""
         return {"url": self.scenes.play(self.directory(_episode_number(body)))}
 
+    def get_request(self) -> tuple[Any, Any]:
+        """Return the next connection and its address."""
+        connection, address = super().get_request()
+        self._connections.add(connection)
+        return connection, address
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        self._connections.discard(request)
+        super().shutdown_request(request)
+
     def server_close(self) -> None:
-        """Stop listening, and end the player of the 3D scene."""
+        """Stop listening, answer what was requested, and end the player of the 3D scene."""
+        for connection in tuple(self._connections):
+            with contextlib.suppress(OSError):
+                connection.shutdown(socket.SHUT_RD)  # ends threads that wait for another request
         super().server_close()
         self.scenes.close()
 
