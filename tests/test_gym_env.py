@@ -82,6 +82,7 @@ def test_the_plans_actions_succeed_from_the_batchs_start(env: Any, config: Recor
     assert released + config.task.hold_ticks < tick <= sum(len(state.actions.ctrl) for state in done.recorded_states)
 
 
+@pytest.mark.slow
 def test_two_arms_hand_over(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
     config = make_config({("rig",): "russet", ("task",): "handover", ("seed",): 2})
     with Simulator(Session(config, locations)) as simulator:

@@ -131,6 +131,7 @@ def test_depth_and_labels_are_those_of_rays_through_the_lens(
     assert np.percentile(near, 90) < 0.002
 
 
+@pytest.mark.slow
 def test_a_delay_shows_earlier_frames(make_simulator: MakeSimulator, motion: tuple[Attempt, list[Array]]) -> None:
     plain, late = (images_of(make_simulator(effects), motion) for effects in (None, {"delay_frames": 2}))
     for k, image in enumerate(late):

@@ -126,6 +126,7 @@ def at_30_hz(dataset: Path, locations: Locations, tmp_path_factory: pytest.TempP
     return write(dataset, tmp_path_factory.mktemp("raiden") / "at_30_hz", locations, NEAREST)
 
 
+@pytest.mark.slow
 def test_at_30_hz_the_metadata_has_the_recorded_frame_of_each_picture(dataset: Path, at_30_hz: Path) -> None:
     assert differences(at_30_hz) == []
     metadata = json.loads((at_30_hz / "0001" / "metadata.json").read_text())
@@ -231,6 +232,7 @@ def test_the_labs_fork_reads_the_same_poses(export: Path) -> None:
         assert wrist["extrinsics"][key] == wrist["hand_eye_calibration"][key]
 
 
+@pytest.mark.slow
 def test_an_altered_file_stops_the_export_and_leaves_nothing(
     dataset: Path, locations: Locations, tmp_path: Path
 ) -> None:

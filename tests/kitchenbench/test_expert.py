@@ -108,6 +108,7 @@ def test_only_what_waits_is_still(expert_bench: PlanningContext) -> None:
     assert not is_still(expert_bench.make_segment({hand: expert_bench.hold_still_motion(hand, 10)}, closing))
 
 
+@pytest.mark.slow
 def test_cutlery_has_places_in_its_compartment_and_beside_the_tray() -> None:
     planning = _planning_scene("sort-cutlery-balanced-pile")
     try:

@@ -59,6 +59,7 @@ def dataset(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return recorded(session, tmp_path_factory.mktemp("data") / "dataset")
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_what_was_recorded_is_made_again_bit_for_bit(dataset: Path, locations: Locations) -> None:
     session = Session(read_recording_config(dataset, locations), locations).without_meshes()

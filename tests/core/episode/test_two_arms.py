@@ -165,6 +165,7 @@ def test_both_wrists_are_recorded_of_a_hand_over(handed: Frames) -> None:
     assert "K_wrist" not in handed[0]
 
 
+@pytest.mark.slow
 def test_arms_that_meet_fail_the_attempt(handover: RecordConfig, locations: Locations) -> None:
     with Simulator(Session(handover, locations)) as simulator:
         done = planned(simulator, handover.seed, 1)

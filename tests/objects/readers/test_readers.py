@@ -85,6 +85,7 @@ def test_a_file_is_read_in_a_child(mugs: dict[str, Path]) -> None:
     assert part.looks[0].uv is not None and np.array_equal(part.looks[0].uv, here.looks[0].uv)
 
 
+@pytest.mark.slow
 def test_a_missing_unit_or_up_axis_is_requested(mugs: dict[str, Path]) -> None:
     with pytest.raises(
         UsageError, match=r"does not state its unit: add --unit m \(0.117 x .*\), and --up z, y or x \[unit\]"

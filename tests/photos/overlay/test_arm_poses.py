@@ -147,6 +147,7 @@ def test_a_rig_without_boards_gives_no_pose(russet: RigConfig, clean: np.ndarray
     assert [(arm.board, arm.status) for arm in result.arms] == [(None, "no_board"), (None, "no_board")]
 
 
+@pytest.mark.slow
 def test_a_recorded_pose_stands_in_for_a_board_that_is_not_seen(russet: RigConfig, clean: np.ndarray) -> None:
     recorded = replace(PHOTO, T_base_in_cam=np.eye(4))
     result = found(russet, photograph(CAMERA, []), photo=recorded)
@@ -174,6 +175,7 @@ def test_a_print_that_is_not_as_the_rig_says_is_told(russet: RigConfig) -> None:
     assert far_off.notes == ()
 
 
+@pytest.mark.slow
 def test_an_unknown_camera_of_several_photos(russet: RigConfig, clean: np.ndarray) -> None:
     """A photo without a board does no harm; photos are requested one after the other."""
     asked = []

@@ -204,6 +204,7 @@ def test_an_input_is_never_overwritten(run: Runner, photo: Path, russet_shot: Ri
     assert {path: path.read_bytes() for path in photo.parent.rglob("*.png") if "link" not in path.parts} == before
 
 
+@pytest.mark.slow
 def test_photos_of_equal_names(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
     save(Path("photo.jpg"), russet_shot.image)
     run("photo.png", "photo.jpg")
@@ -261,6 +262,7 @@ def test_a_camera_of_another_size(run: Runner, photo: Path) -> None:
         run("photo.png", camera=CameraModel.from_focal_length(1280, 960, 1200.0))
 
 
+@pytest.mark.slow
 def test_reprojection_above_the_limit(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
     run("photo.png", max_reprojection=0.1).raise_for_failures()
     report = run("photo.png", max_reprojection=0.003)

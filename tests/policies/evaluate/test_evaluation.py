@@ -193,6 +193,7 @@ def test_the_result_has_the_whole_traceback_of_a_policy(trial: Callable[..., Tri
     assert trial("sample_policies.py:Still", time_limit=0.1).traceback == ""
 
 
+@pytest.mark.slow
 def test_a_fork_that_a_policy_leaves_behind_answers_for_no_trial(
     make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:

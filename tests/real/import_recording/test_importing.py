@@ -123,6 +123,7 @@ def test_photos_without_a_place_say_how_they_are_used(single: RigConfig, locatio
         episode_photos(tmp_path / "real/ep_000000", None, single)
 
 
+@pytest.mark.slow
 def test_a_dataset_of_real_recordings_is_checked(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
     raw = write_raiden_raw(tmp_path / "raw", swinging(station, 0.5), station)
     out = tmp_path / "real"
