@@ -106,7 +106,7 @@ CONFINED = {
         "scene_photos",
     },
     "coacd": {"objects"},
-    "scipy": {"calibration.pose_search", "core.statistics", "review.dataset_diff"},
+    "scipy": {"calibration.exchanges", "calibration.pose_search", "core.statistics", "review.dataset_diff"},
     "defusedxml": {"objects.readers.untrusted_xml"},
     "trimesh": {"objects.readers.meshes", "viewers.scene_nodes"},
     "PIL": {"objects.readers", "viewers.scene_nodes"},

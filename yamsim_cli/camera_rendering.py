@@ -40,7 +40,7 @@ from .scene_photos.embedded_photos import Plate, decode_photo
 _MAX_ROUND_TRIP = 1e-3  # of x/z and y/z, error of a projection and its inverse, which agree where the model is valid
 _EDGE_PX = 3  # px, width of the transition between a plate and what is before it
 _SHADE_FLOOR = 8.0  # of 255, added to both images of a shade, whose quotient is inaccurate in the dark
-_HIDDEN_GROUP = 5  # MuJoCo's geom group that is not rendered
+HIDDEN_GROUP = 5  # MuJoCo's geom group that is not rendered
 _LOOK_FIELDS = (  # fields of `MjModel` that change the image of the surroundings
     "light_diffuse", "light_dir", "light_pos", "cam_fovy", "cam_pos", "cam_quat",
     "geom_matid", "mat_rgba", "mat_specular", "mat_shininess",
@@ -216,8 +216,8 @@ class _Surroundings(Closable):
         self._source = model
         self._model = copy.copy(model)
         moves = model.geom_bodyid > 0
-        self._model.geom_group[moves] = _HIDDEN_GROUP
-        self._model.flex_group[:] = _HIDDEN_GROUP
+        self._model.geom_group[moves] = HIDDEN_GROUP
+        self._model.flex_group[:] = HIDDEN_GROUP
         self.front_labels = moves.astype(np.uint8), np.ones(model.nflex, np.uint8)
         self._data = mujoco.MjData(self._model)
         self._renderer = SceneRenderer(

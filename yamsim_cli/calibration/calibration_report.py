@@ -24,12 +24,13 @@ from ..core.markup import (
     html_tag,
     page_footer,
 )
+from ..core.statistics import Z95
 from ..photos.picture_overlay import blend_arms
 from .calibrate_run import CameraOutcome, StationOutcome, outline_px
 from .calibration_file import CalibratedArm, CalibratedCamera, CalibratedWristCamera, Calibration, Numbers3
 from .exchanges import WristCameraMoves, wrist_camera_fault
 from .station_fit import FitPriors, StationFit
-from .uncertainty import Z95, PoseInterval, StationIntervals
+from .uncertainty import PoseInterval, StationIntervals
 from .wrist_fit import WristFit, WristOutcome
 
 CALIBRATION_FILE, REPORT_FILE, PAGE_FILE = "calibration.yaml", "calibration.json", "calibration.html"

@@ -11,6 +11,7 @@ import numpy as np
 from ..core.config.rig import RigConfig
 from ..core.geometry.se3 import Array
 from ..core.images.image import Image
+from ..core.rendering.view_cameras import resize_area
 from .episode_pictures import EpisodePictures
 
 _PAIRS = 60  # pairs of pictures in a row that are compared, of all episodes together
@@ -88,27 +89,21 @@ def _changes_and_moves(episode: EpisodePictures, camera: str, count: int) -> tup
 def _reduced(image: Image) -> Array:
     height, width = image.shape[:2]
     size = _WIDTH, max(1, round(_WIDTH * height / width))
-    grey = cv2.cvtColor(cv2.resize(image, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
+    grey = cv2.cvtColor(resize_area(image, *size), cv2.COLOR_RGB2GRAY)
     return np.asarray(grey, dtype=np.float64)
 
 
 def rank_correlations(changes: Array, moves: Array) -> Array:
     """Return Spearman's correlation of changes (n,) with each column of moves (n, arms); 0 for a constant."""
-    ranks = _ranks(changes)
+    from scipy.stats import rankdata  # takes half a second to load
+
+    ranks = rankdata(changes)
     found = []
     for column in moves.T:
-        other = _ranks(column)
+        other = rankdata(column)
         spread = float(ranks.std() * other.std())
         found.append(0.0 if spread == 0 else float(((ranks - ranks.mean()) * (other - other.mean())).mean()) / spread)
     return np.array(found)
-
-
-def _ranks(values: Array) -> Array:
-    """Return the ranks (n,) of values; equal ones share their mean rank."""
-    _, index, counts = np.unique(values, return_inverse=True, return_counts=True)
-    ends = np.cumsum(counts)
-    ranks: Array = (ends - (counts - 1) / 2)[index]
-    return ranks
 
 
 def wrist_camera_fault(cameras: Sequence[WristCameraMoves], arm_names: Sequence[str]) -> str | None:

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from ..core.attempt_data import ArmPosture
 from ..core.config.rig import RigConfig
 from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_vector
-from ..photos.edge_alignment import EdgeOffsets, MaskOutline, edge_offsets, grain_px, mask_outline
+from ..photos.edge_alignment import TUKEY_CUTOFF, EdgeOffsets, MaskOutline, edge_offsets, grain_px, mask_outline
 from ..photos.overlay.body_views import BodyPicture, BodyRenderer, JointAxes
 from .chosen_frames import CHANGE_BLUR, ChosenFrame
 from .episode_pictures import EpisodePictures
 
 _REACHES = (16.0, 10.0, 7.0, 5.0, 3.5, 2.5, 2.5, 2.5, 2.5, 2.5)  # grains, search distance for edges by round
 FINAL_REACH = _REACHES[-1]
-_TUKEY_CUTOFF = 4.685  # standard deviations, beyond which Tukey's biweight is 0 (95 % efficiency)
 _EDGE_SIGMA = 0.12  # grains, least standard deviation of an edge's position
 _INDEPENDENT_POINTS = 60.0  # outline points of a picture that count as independent
 _STILL_PICTURES = 3.0  # pictures that count as independent for the outlines of bodies that stand still
@@ -458,7 +457,7 @@ def _weighted(rows: Sequence[_FrameRows], size: int) -> Iterator[FrameEquations]
     sigmas = _edge_sigmas(rows)
     for one in rows:
         sigma = np.array([sigmas[one.camera, body] for body in one.bodies.tolist()])
-        weight = np.clip(1 - (one.residuals / (_TUKEY_CUTOFF * sigma)) ** 2, 0, None) ** 2
+        weight = np.clip(1 - (one.residuals / (TUKEY_CUTOFF * sigma)) ** 2, 0, None) ** 2
         weight *= min(1.0, _INDEPENDENT_POINTS / max(len(weight), 1)) / sigma**2
         # All pictures show the same edges of what stands still, with the same errors.
         weight[one.still] *= min(1.0, _STILL_PICTURES / sum(other.camera == one.camera for other in rows))

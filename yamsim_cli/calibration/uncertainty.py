@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.geometry.se3 import Array, invert_pose, rotation_vector
-from ..core.statistics import student_t_quantile_95
+from ..core.statistics import Z95, student_t_quantile_95
 from .station_fit import DELAY, FOCAL, FittedCameraView, StationFit, StationProblem, StationState
 
-Z95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
 _MIN_GROUPS = 8  # groups of pictures; with fewer episodes, each is divided
 _INFLATION = 1.8  # of all intervals; without it, errors of planted stations exceeded them by up to 1.6 times
 # px, an angle of joint 2 times the focal length: standard deviation of what errors of all edges do to its offset,

@@ -22,12 +22,14 @@ from ..core.files.resources import Locations
 from ..core.geometry.camera import CameraModel
 from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_vector
 from ..core.images.image import Image
-from ..photos.edge_alignment import edge_offsets, grain_px, mask_outline
+from ..core.scene.cameras import wrist_camera_pose
+from ..core.statistics import Z95
+from ..photos.edge_alignment import TUKEY_CUTOFF, edge_offsets, grain_px, mask_outline
 from ..photos.overlay.body_views import BodyRenderer
 from .chosen_frames import spread_choice, weighted_poses
 from .episode_pictures import EpisodePictures
 from .station_fit import rendered_edges
-from .uncertainty import Z95, PoseInterval
+from .uncertainty import PoseInterval
 
 _BIN = 0.002  # m of one finger's opening; pictures within count as of the same opening
 _BINS = 5  # openings, at most
@@ -39,7 +41,6 @@ _START_REACHES = (10.0, 6.0, 3.5)  # grains, search distance for edges by round,
 _BEST = 4  # starts whose fit goes on
 _REACHES = (3.5, 2.5, 2.5, 2.5, 2.5, 2.5)  # grains, the same for these
 _FAR = 3.0  # grains, distance of an outline point without a nearer edge in the comparison of fits
-_CUTOFF = 4.685  # standard deviations, beyond which Tukey's biweight is 0
 _MIN_SIGMA = 0.12  # grains, least standard deviation of an edge's position
 _INDEPENDENT_POINTS = 60.0  # outline points of a mean picture that count as independent
 _PRIOR_TURN, _PRIOR_SHIFT = math.radians(5.0), 0.02  # rad and m, standard deviations of the rig's pose
@@ -68,13 +69,6 @@ class WristFit:
     openings: int
     found_share: float
     outline_px: float
-
-
-def rig_wrist_pose(rig: RigConfig, arm: int) -> Array:
-    """Return the pose (4, 4) of an arm's wrist camera, in its OpenCV frame, on the flange by the rig."""
-    camera = rig.arms[arm].wrist_camera
-    x, y = (np.asarray(axis) / np.linalg.norm(axis) for axis in (camera.x_axis, camera.y_axis))
-    return pose(camera.position, np.column_stack([x, y, np.cross(x, y)]))
 
 
 @dataclass(frozen=True)
@@ -141,7 +135,7 @@ def fit_wrist_camera(
             f"camera {name!r}: no opening of the gripper is in {_MIN_PICTURES} pictures or more; give more episodes"
         )
     problem = _WristProblem(arm, rig, renderer, means, focal_sigma)
-    T_flange_in_cam, rows = problem.search(invert_pose(rig_wrist_pose(rig, arm)))
+    T_flange_in_cam, rows = problem.search(invert_pose(wrist_camera_pose(rig.arms[arm])))
     if rows.found_share < _MIN_FOUND:
         raise DatasetError(
             f"camera {name!r}: the gripper's outline meets the edges of pictures at {rows.found_share:.0%} of its "
@@ -212,7 +206,7 @@ class _WristProblem:
         self._gripper = gripper & (renderer.arm_of_body == arm)
         sigma = np.array([_PRIOR_TURN] * 3 + [_PRIOR_SHIFT] * 3 + [max(focal_sigma, 1e-6), *_BIASES])
         self._prior = np.diag(sigma**-2.0)
-        self._T_prior = invert_pose(rig_wrist_pose(rig, arm))
+        self._T_prior = invert_pose(wrist_camera_pose(rig.arms[arm]))
 
     def search(self, T_rig: Array) -> tuple[Array, _Rows]:
         """Return the best pose of the flange in the camera near the rig's, and its equations."""
@@ -252,7 +246,7 @@ class _WristProblem:
         normal = self._prior.copy()
         right_hand_side = -self._prior @ self._deviation(T_flange_in_cam, state)
         for J, own, _ in parts:
-            weight = np.clip(1 - (own / (_CUTOFF * sigma)) ** 2, 0, None) ** 2 / sigma**2
+            weight = np.clip(1 - (own / (TUKEY_CUTOFF * sigma)) ** 2, 0, None) ** 2 / sigma**2
             weight *= min(1.0, _INDEPENDENT_POINTS / max(len(own), 1))
             normal += (J * weight[:, None]).T @ J
             right_hand_side += (J * weight[:, None]).T @ own

@@ -136,7 +136,6 @@ def evaluate(
         _write_reports(report, reports, out, html)
         print_report(report, lambda: evaluation_table(report), json)
         return
-    from yamsim_cli.camera_rendering import require_fixed_plates
     from yamsim_cli.core.episode.episode_rules import EndRule
     from yamsim_cli.policies.action_chunks import ChunkSettings, read_latency
     from yamsim_cli.policies.evaluate import evaluation
@@ -152,7 +151,6 @@ def evaluate(
     session, training = open_evaluation_session(
         session_opener, config, choice, others, trained_on, renders=video is not None, **session_settings(locals())
     )
-    require_fixed_plates(session.config)
     films = open_films(video, session.config, overwrite=overwrite) if video else None
     found = evaluate_and_compare(
         session, choice, others, trial_timeout, training, lambda: progress_bar("trials", "trials")

@@ -93,7 +93,9 @@ def review(
 
 
 def _require_dataset(path: Path) -> None:
-    """Refuse recordings of other programs, with the command that imports them."""
+    """Refuse what is no folder, and recordings of other programs, with the command that imports them."""
+    if not path.is_dir():
+        raise DatasetError(f"{path} is no folder; give the folder of a dataset")
     from yamsim_cli.core.dataset.imported_records import is_yamsim_data
 
     if is_yamsim_data(path) or any(path.glob("ep_*/episode.json")):
@@ -145,8 +147,6 @@ def _compare(paths: list[Path], html: Path | None, motion: bool, overwrite: bool
     if html:
         require_unused_paths("--html", html, overwrite=overwrite)
     for path in paths:
-        if not path.is_dir():
-            raise DatasetError(f"{path} is no folder; give the folder of a dataset")
         _require_dataset(path)
 
     from yamsim_cli.review.dataset_diff import compare_rows

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_Z95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
+Z95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
 THRESHOLDS = (0.05, 0.08)  # m, distances from the target that count as success. Source: the lab reports both
 _MAX_BINS = 40
 _MIN_SPAN = 1e-4  # of values from which the width of bins is computed
@@ -17,9 +17,9 @@ def wilson_interval_95(successes: int, n: int) -> tuple[float, float]:
     if n == 0:
         return 0.0, 1.0
     rate = successes / n
-    scale = 1 + _Z95**2 / n
-    centre = (rate + _Z95**2 / (2 * n)) / scale
-    half = _Z95 / scale * math.sqrt(rate * (1 - rate) / n + _Z95**2 / (4 * n**2))
+    scale = 1 + Z95**2 / n
+    centre = (rate + Z95**2 / (2 * n)) / scale
+    half = Z95 / scale * math.sqrt(rate * (1 - rate) / n + Z95**2 / (4 * n**2))
     # For rates of 0 and 1, one bound is exact. Rounding would move that bound slightly inside.
     return (0.0 if successes == 0 else max(0.0, centre - half), 1.0 if successes == n else min(1.0, centre + half))
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import SimulationError
+from ..core.files.documents.json_text import json_text
 from ..core.files.documents.yaml_document import dump_yaml
 from ..core.files.writing import write_outputs
 from ..core.images.jpeg import encode_jpeg
@@ -27,15 +28,8 @@ def match_files(out: Path) -> tuple[Path, ...]:
 def write_match(match: StationMatch, out: Path) -> None:
     """Write all files. Raise ResourceError if they cannot be written."""
     scene = dump_yaml(match.scene.model_dump(mode="json", exclude={"name"}))
-    files = (scene, dump_json(report_data(match)), _page(match))
+    files = (scene, json_text(report_data(match)), _page(match))
     write_outputs({path: text.encode() for path, text in zip(match_files(out), files, strict=True)}, make_folder=True)
-
-
-def dump_json(data: dict[str, Any]) -> str:
-    """Return data as JSON text."""
-    import json
-
-    return json.dumps(data, indent=1) + "\n"
 
 
 def report_data(match: StationMatch) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +25,7 @@ from ..core.geometry.se3 import Array, invert_pose, pose, rotation_vector
 from ..core.images.image import Image
 from ..core.images.image_files import read_image, read_mask, to_grey
 from ..core.progress import Progress
+from ..core.rendering.view_cameras import resize_area
 from ..core.scene.cameras import fixed_camera
 from ..photos.overlay.joint_files import ArmPostures, home_postures
 from ..photos.overlay.outline_fit import mask_iou, score_outlines
@@ -291,10 +291,7 @@ def common_view(rig: RigConfig, located: Sequence[RigInPhoto]) -> tuple[PinholeV
 
 def _fit_photos(flat: Sequence[Image], postures: Sequence[ArmPostures], size: tuple[int, int]) -> list[StationPhoto]:
     chosen = np.unique(np.linspace(0, len(flat) - 1, min(_FIT_PHOTOS, len(flat))).round().astype(int))
-    return [
-        StationPhoto(np.asarray(cv2.resize(flat[k], size, interpolation=cv2.INTER_AREA), np.uint8), postures[k])
-        for k in chosen
-    ]
+    return [StationPhoto(resize_area(flat[k], *size), postures[k]) for k in chosen]
 
 
 def _light_of(scene: SceneConfig) -> Light:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera_rendering import EffectsRenderer
+from ..camera_rendering import HIDDEN_GROUP, EffectsRenderer
 from ..core.attempt_data import ArmPosture
 from ..core.closable import Closable
 from ..core.config.rendering import RenderConfig
@@ -22,8 +22,6 @@ from ..core.scene.blueprint import Blueprint, PictureSettings
 from ..core.scene.cameras import SceneCamera
 from ..core.scene.compilation import compile_spec
 from ..core.scene.compose import compose_scene
-
-_HIDDEN_GROUP = 5  # MuJoCo's geom group that is not rendered
 
 
 @dataclass(frozen=True)
@@ -102,7 +100,7 @@ class StationRenderer(Closable):
 
     def show_arms(self, shown: bool) -> None:
         """Show or hide all arms, which then cast no shadows."""
-        self._model.geom_group[self._is_arm] = self._group[self._is_arm] if shown else _HIDDEN_GROUP
+        self._model.geom_group[self._is_arm] = self._group[self._is_arm] if shown else HIDDEN_GROUP
 
     def render(self) -> Image:
         """Render an RGB image (height, width, 3)."""

@@ -21,7 +21,7 @@ _SAMPLES_PER_GRAIN = 2  # sample points per grain of the search line
 _POINT_SPACING = 3  # grains between outline points
 _MIN_SLOPE = 4.0  # grey levels per grain, gradient of an edge
 _MIN_SLOPE_SHARE = 0.4  # share of the search line's largest gradient, for an edge
-_TUKEY_CUTOFF = 4.685  # standard deviations, beyond which Tukey's biweight is 0 (95 % efficiency)
+TUKEY_CUTOFF = 4.685  # standard deviations, beyond which Tukey's biweight is 0 (95 % efficiency)
 _INDEPENDENT_POINTS = 60.0  # maximum number of outline points that count as independent
 _IGNORED_BORDER = 3  # grains from the picture's border; outlines there are ignored
 _REFINEMENT_ROUNDS = 6  # rounds of a pose refinement
@@ -183,7 +183,7 @@ def edge_equations(
     by_shift = np.column_stack([across, -(across * ray).sum(axis=1)])
     jacobian = np.column_stack([np.cross(at - centre, by_shift), by_shift])
     scale = max(edge_sigma, 1.4826 * float(np.median(np.abs(off)))) if len(off) else edge_sigma
-    weight = np.clip(1 - (off / (_TUKEY_CUTOFF * scale)) ** 2, 0, None) ** 2
+    weight = np.clip(1 - (off / (TUKEY_CUTOFF * scale)) ** 2, 0, None) ** 2
     # Neighbouring points share an edge, so they are not independent.
     weight *= min(1.0, _INDEPENDENT_POINTS / max(len(off), 1)) / edge_sigma**2
     weighted = jacobian * weight[:, None]

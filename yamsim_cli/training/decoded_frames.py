@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -92,7 +91,7 @@ def _hash_content(episodes: Sequence[StoredEpisode], cameras: Sequence[str], key
         [sha256_bytes(episode.read(EPISODE_FILE)), episode.first_frame, episode.record.frames] for episode in episodes
     ]
     text = json.dumps([_FORMAT, list(cameras), list(keys), content])
-    return hashlib.sha256(text.encode()).hexdigest()[:_NAME_CHARACTERS]
+    return sha256_bytes(text.encode())[:_NAME_CHARACTERS]
 
 
 def _decode(episodes: Sequence[StoredEpisode], cameras: Sequence[str], keys: Sequence[str], folder: Path) -> None:

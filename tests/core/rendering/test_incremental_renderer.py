@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import mujoco
@@ -82,17 +82,25 @@ def test_the_pixels_are_those_of_whole_images(
         assert np.mean(shares) < 0.7
 
 
-@pytest.mark.render
-def test_smooth_shadows_differ_only_at_edges_of_shadows_and_have_grey_levels() -> None:
+@pytest.fixture
+def pickplace_start() -> Iterator[tuple[mujoco.MjModel, str, Array]]:
+    """The model of `pickplace`, its first camera, and the positions at the start of an attempt."""
     with SimulatorCache(open_session(task="pickplace")) as simulators:
         simulator = simulators.get(AttemptJob(0, 0))
-        model, (camera, *_) = simulator.scene.model, simulator.scene.cameras
         start = sample_attempt(simulator, AttemptJob(0, 0)).start
         assert start is not None
-        pictures = []
-        for smooth in (False, True):
-            with SceneRenderer(model, SIZE, smooth_shadows=smooth) as renderer:
-                pictures.append(draw_all(renderer, model, [start], [camera])[0].astype(int))
+        yield simulator.scene.model, simulator.scene.cameras[0], start
+
+
+@pytest.mark.render
+def test_smooth_shadows_differ_only_at_edges_of_shadows_and_have_grey_levels(
+    pickplace_start: tuple[mujoco.MjModel, str, Array],
+) -> None:
+    model, camera, start = pickplace_start
+    pictures = []
+    for smooth in (False, True):
+        with SceneRenderer(model, SIZE, smooth_shadows=smooth) as renderer:
+            pictures.append(draw_all(renderer, model, [start], [camera])[0].astype(int))
     difference = np.abs(pictures[1] - pictures[0]).max(axis=2)
     assert (difference > 1).mean() < 0.02
     # Filtering gives levels between light and shadow, so many pixels change by less than a whole shadow.
@@ -103,23 +111,21 @@ def test_smooth_shadows_differ_only_at_edges_of_shadows_and_have_grey_levels() -
 
 @pytest.mark.render
 def test_without_the_programs_shadows_have_steps_and_a_warning_says_so(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    pickplace_start: tuple[mujoco.MjModel, str, Array],
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     def refuse(*arguments: Any) -> int:
         raise RuntimeError("no GLSL 1.20")
 
-    with SimulatorCache(open_session(task="pickplace")) as simulators:
-        simulator = simulators.get(AttemptJob(0, 0))
-        model, (camera, *_) = simulator.scene.model, simulator.scene.cameras
-        start = sample_attempt(simulator, AttemptJob(0, 0)).start
-        assert start is not None
-        pictures = []
-        for smooth in (False, True):
-            monkeypatch.setattr(shadow_shaders, "_link", refuse)
-            shadow_shaders.warn_of_stepped_shadows.cache_clear()
-            with SceneRenderer(model, SIZE, smooth_shadows=smooth) as renderer:
-                pictures.append(draw_all(renderer, model, [start, start], [camera]))
-            assert ("no GLSL 1.20" in caplog.text) == smooth
+    model, camera, start = pickplace_start
+    pictures = []
+    for smooth in (False, True):
+        monkeypatch.setattr(shadow_shaders, "_link", refuse)
+        shadow_shaders.warn_of_stepped_shadows.cache_clear()
+        with SceneRenderer(model, SIZE, smooth_shadows=smooth) as renderer:
+            pictures.append(draw_all(renderer, model, [start, start], [camera]))
+        assert ("no GLSL 1.20" in caplog.text) == smooth
     np.testing.assert_array_equal(*pictures)
     assert len(caplog.records) == 1
 

@@ -210,8 +210,8 @@ class RandomizationConfig(Config):
     @property
     def varied_parts(self) -> tuple[str, ...]:
         """Keys of the parts of this config that are given, and so vary between attempts."""
-        keys = type(self).model_fields.keys() - {"name", "held_out"}
-        return tuple(key for key in type(self).model_fields if key in keys and getattr(self, key) is not None)
+        keys = (key for key in type(self).model_fields if key not in ("name", "held_out"))
+        return tuple(key for key in keys if getattr(self, key) is not None)
 
     @property
     def distractor_configs(self) -> tuple[ObjectConfig, ...]:

@@ -43,12 +43,16 @@ def station_camera(rig: RigConfig, camera: RigCamera, size: tuple[int, int]) -> 
 
 def wrist_camera(arm: ArmConfig, size: tuple[int, int]) -> SceneCamera:
     """Convert an arm's wrist camera, for images of `size` (width, height), px."""
+    T, flange = wrist_camera_pose(arm), arm.prefix + arm.robot.flange
+    T_in_flange = pose(T[:3, 3], opencv_from_mujoco(T[:3, :3]))
+    return SceneCamera(arm.wrist_camera_name, flange, T_in_flange, arm.wrist_camera.fovy(size))
+
+
+def wrist_camera_pose(arm: ArmConfig) -> Array:
+    """Return the pose (4, 4) of an arm's wrist camera on the flange, in OpenCV's convention."""
     camera = arm.wrist_camera
-    x = np.asarray(camera.x_axis) / np.linalg.norm(camera.x_axis)
-    y = np.asarray(camera.y_axis) / np.linalg.norm(camera.y_axis)
-    R = opencv_from_mujoco(np.column_stack([x, y, np.cross(x, y)]))
-    flange = arm.prefix + arm.robot.flange
-    return SceneCamera(arm.wrist_camera_name, flange, pose(camera.position, R), camera.fovy(size))
+    x, y = (np.asarray(axis) / np.linalg.norm(axis) for axis in (camera.x_axis, camera.y_axis))
+    return pose(camera.position, np.column_stack([x, y, np.cross(x, y)]))
 
 
 def add_camera(spec: mujoco.MjSpec, camera: SceneCamera) -> None:

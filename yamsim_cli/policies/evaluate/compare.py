@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.statistics import Z95
 
 _SHARED_KEYS = ("task", "rig", "grasp", "arms", "seed")  # keys of a report that must be equal
 _MAX_BYTES = 500_000_000  # largest size of a report's file
-_Z95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
 
 
 def mcnemar_p_value(only_first: int, only_second: int) -> float:
@@ -39,7 +39,7 @@ def difference_interval_95(only_first: int, only_second: int, n: int) -> tuple[f
     """
     first, second = (only_first + 1) / (n + 2), (only_second + 1) / (n + 2)
     difference = first - second
-    half = _Z95 * math.sqrt((first + second - difference**2) / (n + 2))
+    half = Z95 * math.sqrt((first + second - difference**2) / (n + 2))
     return max(-1.0, difference - half), min(1.0, difference + half)
 
 

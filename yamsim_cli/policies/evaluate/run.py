@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from yamsim_cli.camera_rendering import require_fixed_plates
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.progress import Progress
 from yamsim_cli.core.statistics import THRESHOLDS
@@ -53,6 +54,7 @@ def open_evaluation_session(
         given |= training.defaults(given.get("size"), given.get("quality"))
     renders = renders or any(may_read_images(name) for name in (choice.name, *others))
     session = opener.open(config, renders=renders, wrist=True, **given)
+    require_fixed_plates(session.config)
     if training is not None and (warning := training.warning(session.config)):
         opener.notify(warning)
     return session, training
