@@ -16,6 +16,9 @@ DEMO := out/demo
 # Two workers more than cores, because tests wait for processes, files and time limits for a quarter of their time.
 TEST_WORKERS := $(shell expr $$(getconf _NPROCESSORS_ONLN) + 2)
 
+# Where bytecode is not kept, every process of the tests compiles the package again: a second each.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help setup setup-dev gl meshes test-programs demo test test-slow test-clients test-clients-heavy test-all golden-update pictures lint type bench bench-fiducials docs build lock clean
 
