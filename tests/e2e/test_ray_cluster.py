@@ -27,7 +27,7 @@ def test_ctrl_c_finishes_what_is_in_hand_and_resume_goes_on(tmp_path: Path) -> N
     with start(out, "--n", "6", "--executor", "ray") as process:
         wait_until(lambda: episodes(out))
         os.kill(process.pid, signal.SIGINT)
-        _, err = process.communicate(timeout=120)
+        _, err = process.communicate(timeout=600)
     assert process.returncode == 130, err
     left = episodes(out)
     assert 0 < len(left) < 6
