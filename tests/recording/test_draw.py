@@ -79,6 +79,7 @@ def physics(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_an_episode_without_images_is_drawn_as_it_would_have_been_recorded(
     recorded: Path, physics: Path, tmp_path: Path
 ) -> None:

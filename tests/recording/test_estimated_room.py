@@ -45,7 +45,9 @@ def test_every_skill_has_a_duration() -> None:
     assert set(SKILL_SECONDS) == set(SKILLS)
 
 
-@pytest.mark.parametrize("task", RECORDED_FRAMES)
+@pytest.mark.parametrize(
+    "task", [pytest.param(task, marks=[pytest.mark.slow] if "fold" in task else []) for task in RECORDED_FRAMES]
+)
 def test_a_programs_typical_duration_is_near_what_was_recorded(task: str) -> None:
     program = config_of(task).task
     frames = typical_tick_count(program) / program.timing.ticks_per_frame

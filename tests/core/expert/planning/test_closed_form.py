@@ -70,7 +70,7 @@ def _require_complete(model: mujoco.MjModel, number: int) -> None:
 
 @pytest.mark.parametrize("rig", SHIPPED)
 def test_all_joints_of_a_pose_are_found(rig: str) -> None:
-    _require_complete(_model(rig), 1000)
+    _require_complete(_model(rig), 300)
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.15])
