@@ -172,6 +172,7 @@ def test_the_readmes_example_does_what_it_says(repository: Path) -> None:
     assert (shape, abs(float(off)) < 1e-3) == ("(6,)", True)
 
 
+@pytest.mark.slow
 @pytest.mark.render
 @pytest.mark.parametrize(
     "first",

@@ -99,19 +99,20 @@ def test_json_is_what_the_report_file_holds(folder: Path) -> None:
     assert run.json["files"] == ["o/photo_overlay.png", "o/photo_mask.png", "o/overlay.json"]
 
 
-@pytest.mark.parametrize("limit", ["--max-turn", "--max-shift"])
-def test_a_pose_beyond_the_limits_is_uncertain_and_in_the_report(folder: Path, limit: str) -> None:
-    run = yamsim(*ARGS, "--json", limit, "0", cwd=folder)
-    assert run.code == 4
-    (image,) = run.json["images"]
+def test_a_pose_beyond_the_limits_is_uncertain_and_in_the_report(folder: Path) -> None:
     (found,) = yamsim(*ARGS, "--json", "--out", "found", cwd=folder).json["images"]
-    for arm, located in zip(image["arms"], found["arms"], strict=True):
-        assert (arm["status"], located["status"]) == ("uncertain", "ok")
-        for key in ("T_board_in_cam", "T_base_in_cam", "covariance"):
-            np.testing.assert_allclose(arm[key], located[key], atol=1e-4)
-        assert arm["rotation_sigma_rad"] > 0 and arm["position_sigma_m"] > 0
+    for limit in ("--max-turn", "--max-shift"):
+        run = yamsim(*ARGS, "--json", limit, "0", "--out", limit.strip("-"), cwd=folder)
+        assert run.code == 4
+        (image,) = run.json["images"]
+        for arm, located in zip(image["arms"], found["arms"], strict=True):
+            assert (arm["status"], located["status"]) == ("uncertain", "ok")
+            for key in ("T_board_in_cam", "T_base_in_cam", "covariance"):
+                np.testing.assert_allclose(arm[key], located[key], atol=1e-4)
+            assert arm["rotation_sigma_rad"] > 0 and arm["position_sigma_m"] > 0
 
 
+@pytest.mark.slow
 def test_boards_from_the_front_give_no_pose_without_a_camera(folder: Path, locations: Locations) -> None:
     """Regression: a long lens far above was taken for a usual lens near by, with both arms `ok` metres off."""
     far = facing(0.0, 0.0, 2.0, 0.02, 0.01)
@@ -173,6 +174,7 @@ def test_a_wrong_margin_is_told_on_stderr_and_in_json(folder: Path) -> None:
     assert notes[0] == f"photo.png: {report['images'][0]['notes'][0]}"
 
 
+@pytest.mark.slow
 def test_what_would_help_a_refused_board_is_told(folder: Path) -> None:
     """Text and JSON name the remedy if the other board gives a pose; otherwise the error does."""
     path = folder / "photo.png"
@@ -258,16 +260,22 @@ def test_files_that_cannot_be_used_are_one_line(folder: Path, args: list[str], c
 
 
 @pytest.mark.parametrize("taken", ["photo_overlay.png", "photo_mask.png", "overlay.json"])
-def test_results_that_exist_are_refused_and_overwrite_replaces_them(folder: Path, taken: str) -> None:
+def test_a_result_that_exists_is_refused(folder: Path, taken: str) -> None:
     (folder / "overlays").mkdir()
     file = folder / "overlays" / taken
     file.write_bytes(b"mine")
-    args = (*ARGS, "--mask")
-    run = yamsim(*args, cwd=folder)
+    run = yamsim(*ARGS, "--mask", cwd=folder)
     assert (run.code, file.read_bytes(), list((folder / "overlays").iterdir())) == (2, b"mine", [file])
     assert run.message.endswith(f"{taken} exists; replace it with --overwrite, or give another path")
-    assert yamsim(*args, "--overwrite", cwd=folder).code == 0
-    assert file.read_bytes() != b"mine"
+
+
+def test_overwrite_replaces_results(folder: Path) -> None:
+    (folder / "overlays").mkdir()
+    files = [folder / "overlays" / name for name in ("photo_overlay.png", "photo_mask.png", "overlay.json")]
+    for file in files:
+        file.write_bytes(b"mine")
+    assert yamsim(*ARGS, "--mask", "--overwrite", cwd=folder).code == 0
+    assert all(file.read_bytes() != b"mine" for file in files)
 
 
 @pytest.fixture(scope="module")
@@ -283,6 +291,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_an_episode_is_drawn_where_it_was_recorded(dataset: Path, tmp_path: Path) -> None:
     """The outline of the simulated arm meets the arm's edges in the recorded pictures."""
     run = yamsim("overlay", "--episode", dataset / "ep_000000", "--out", tmp_path / "o", "--json")

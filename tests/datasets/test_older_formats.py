@@ -52,6 +52,7 @@ def test_only_what_was_written_differs(dataset: Path, present: Path) -> None:
     assert len((dataset / "config.yaml").read_text()) < len((present / "config.yaml").read_text())
 
 
+@pytest.mark.slow
 def test_it_is_summarized_without_a_fault(dataset: Path, present: Path) -> None:
     found, today = (yamsim("summarize", path, "--json").json for path in (dataset, present))
     changed = {key for key in today if found[key] != today[key]}
@@ -74,6 +75,7 @@ def test_a_change_is_still_found(dataset: Path) -> None:
     assert {found["quantity"] for found in run.json["divergences"]} == {"outcome.dxy_m"}
 
 
+@pytest.mark.slow
 def test_it_is_exported_as_one_of_today(dataset: Path, present: Path, tmp_path: Path) -> None:
     for name, path in (("older", dataset), ("today", present)):
         run = yamsim("export", "raiden", path, tmp_path / name, "--pictures", "nearest", "--json")

@@ -49,6 +49,7 @@ def test_what_they_ask_for_fits(embodiment: YamsimEmbodiment) -> None:
         assert 30 <= task.resolve_envelope(embodiment.info.control_hz).max_steps <= 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["set_upright", "pickplace"])
 def test_the_expert_does_it_and_our_goal_says_so(name: str, embodiment: YamsimEmbodiment, tmp_path: Path) -> None:
     task = replace(make_task(name), epochs=1)

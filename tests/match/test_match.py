@@ -113,6 +113,7 @@ def test_the_scene_camera_of_a_rig_with_two_arms_is_the_view_too(span: float, lo
     assert made.fovy_deg == pytest.approx(view.scene_camera.fovy_deg, abs=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_boards_give_the_camera_s_pose(locations: Locations, tmp_path: Path) -> None:
     T = looking((0.95, -0.12, 0.7), (0.08, 0.0, 0.1))

@@ -50,6 +50,7 @@ def test_a_row_has_a_position_two_axes_and_joints() -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rig", "task", "grasp", "things", "width"),
     [

@@ -113,6 +113,7 @@ def test_a_target_that_refuses_keeps_the_rest_in_the_stage(
     assert waiting(recording) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fate", ["kept", "lost", "not given", "damaged", "cut off", "unlogged"])
 def test_whatever_becomes_of_the_stage_the_bytes_are_the_same(
     recording: Recording, undisturbed: dict[str, bytes], target: Target, fate: str, monkeypatch: pytest.MonkeyPatch

@@ -166,6 +166,7 @@ def test_an_episode_is_made_again_bit_for_bit(original: Path, locations: Locatio
         assert all(check.max_error == 0.0 for check in verdict.checks.values())
 
 
+@pytest.mark.slow
 def test_a_record_has_the_grasp(original: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(original, tmp_path / "dataset")
     run = yamsim("summarize", copy, "--json")

@@ -196,6 +196,7 @@ def test_a_recorded_camera_is_given_in_the_first_arms_base(dataset: Path, handov
     np.testing.assert_allclose(stands, [frame["joints"][RIGHT], frame["joints"][LEFT]], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_summarize_accepts_two_arms_and_checks_both(dataset: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(dataset, tmp_path / "dataset")
     frame = read_frame(copy / "ep_000000", 3)

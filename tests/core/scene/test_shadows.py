@@ -89,6 +89,7 @@ def test_the_table_carries_the_shadow_and_the_floor_below_has_none(rig: str, qua
     assert max(carried.values()) > 20, carried
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quality", QUALITIES)
 def test_nothing_but_the_box_darkens_the_tabletop(quality: str) -> None:
     """The table does not speckle itself: without its own shadow its lit top has the same pixels."""

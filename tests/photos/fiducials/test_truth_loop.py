@@ -55,6 +55,7 @@ def test_located_boards_match_their_true_poses(russet: Photographer, distance: f
         assert seen.markers == russet.boards[k % 2].board.marker_ids
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "spoil", [{"noise": 20.0}, {"jpeg": 50}, {"light": 0.1}, {"blur": 1.2}], ids=["noise", "jpeg", "dark", "blur"]
 )

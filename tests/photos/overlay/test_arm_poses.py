@@ -99,6 +99,7 @@ def test_together_the_arms_stand_as_the_rig_says(russet: RigConfig, clean: np.nd
     assert max(shift_mm(joint, russet, k) for k in (0, 1)) < max(shift_mm(alone, russet, k) for k in (0, 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("visible", [0, 1])
 def test_an_arm_whose_board_is_hidden_is_inferred_only_when_the_margin_is_trusted(
     russet: RigConfig, visible: int

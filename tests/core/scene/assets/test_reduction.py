@@ -112,6 +112,7 @@ def test_they_are_made_once_and_kept_beside_the_set(world, tiny, source, content
     assert make_reduced(world.store, tiny, source, "the notice") == made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["byte", "cut", "missing", "report", "no report"])
 def test_a_damaged_reduced_mesh_is_made_again(world, tiny, source, damage):
     made = make_reduced(world.store, tiny, source, "the notice")
