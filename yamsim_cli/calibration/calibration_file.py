@@ -9,12 +9,14 @@ from pydantic import Field
 
 from ..core.config.cameras.camera import Row
 from ..core.config.loader import parse_config
+from ..core.config.rig import RigConfig
 from ..core.errors import ConfigError, UsageError, suggest_similar
 from ..core.files.documents.config_base import Config, Quaternion
 from ..core.files.documents.yaml_document import dump_yaml
 from ..core.files.resources import Locations
 from ..core.geometry.camera import CameraModel
-from ..core.geometry.se3 import Array, pose_from_quat
+from ..core.geometry.se3 import Array, invert_pose, pose_from_quat
+from ..photos.overlay.photos import PlacedCamera
 
 Numbers3 = tuple[float, float, float]
 
@@ -133,20 +135,33 @@ class Calibration(Config):
     arms: tuple[CalibratedArm, ...]
     wrist_cameras: tuple[CalibratedWristCamera, ...] = ()
 
-    def camera(self, name: str | None) -> CalibratedCamera:
-        """Return a camera, None being the only one. Raise UsageError if there is none, or several."""
+    def camera(self, name: str | None, option: str) -> CalibratedCamera:
+        """Return a camera, None being the only one. Raise UsageError, which names `option`, if not exactly one fits."""
         names = [one.name for one in self.cameras]
         if name is None and len(names) > 1:
-            raise UsageError(f"the calibration has several cameras ({', '.join(names)}); name one: FILE:CAMERA")
+            raise UsageError(f"the calibration has several cameras ({', '.join(names)}); name one: {option}")
         for one in self.cameras:
             if name in (None, one.name):
                 return one
         raise UsageError(f"the calibration has no camera {name!r}; {suggest_similar(str(name), names)}")
 
-    def for_rig(self, rig: str, option: str) -> Calibration:
-        """Return the calibration itself. Raise UsageError if it is of another rig."""
-        if self.rig != rig:
-            raise UsageError(f"{option}: the calibration is of rig {self.rig!r}, not {rig!r}; give --rig {self.rig}")
+    def placed_camera(self, camera: CalibratedCamera) -> PlacedCamera:
+        """Return one of the cameras and the arms, as `overlay` and `match` draw them."""
+        T_reference_in_cam = invert_pose(camera.T_cam_in_base)
+        bases = tuple(T_reference_in_cam @ arm.T_base_in_reference for arm in self.arms)
+        return PlacedCamera(camera.camera_model, bases, tuple(arm.offsets for arm in self.arms), camera.delay_ms / 1000)
+
+    def for_rig(self, rig: RigConfig, option: str) -> Calibration:
+        """Return the calibration itself. Raise UsageError if it is of another rig, or of other arms."""
+        if self.rig != rig.name:
+            raise UsageError(
+                f"{option}: the calibration is of rig {self.rig!r}, not {rig.name!r}; give --rig {self.rig}"
+            )
+        arms, own = ([arm.name for arm in arms] for arms in (rig.arms, self.arms))
+        if arms != own:
+            raise UsageError(
+                f"{option}: the calibration has the arms {', '.join(own)}; rig {rig.name!r} has {', '.join(arms)}"
+            )
         return self
 
 
