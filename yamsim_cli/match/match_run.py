@@ -22,6 +22,7 @@ from ..core.geometry.camera import CameraModel
 from ..core.geometry.se3 import invert_pose, pose, rotation_vector
 from ..core.images.image import Image
 from ..core.images.image_files import read_image, read_mask, to_grey
+from ..core.images.jpeg import encode_jpeg
 from ..core.progress import Progress
 from ..core.rendering.view_cameras import resize_area
 from ..core.scene.cameras import fixed_camera
@@ -31,7 +32,7 @@ from ..photos.overlay.photo_arm_poses import RigInPhoto, find_arms
 from ..photos.overlay.photo_cameras import PhotoCameras
 from ..photos.overlay.photos import Photo, PlacedCamera, find_mask
 from ..photos.overlay.rendered_arms import ArmRenderers
-from ..scene_photos.embedded_photos import Plate, encode_photo
+from ..scene_photos.embedded_photos import Plate, photo_text
 from .light_fit import HEADLIGHT, LightFit, StationPhoto, fit_light
 from .pinhole_view import PinholeView
 from .plate import StationPlate, make_plate, table_photo
@@ -285,9 +286,9 @@ def _matched_scene(
         changes |= {"ambient": ambient, "lights": (key,)}
     if surface is not None:
         colour = (*(round(float(part), 3) for part in surface.mean(axis=(0, 1)) / 255), 1.0)
-        photo = encode_photo(surface, _JPEG_QUALITY)
+        photo = photo_text(encode_jpeg(surface, _JPEG_QUALITY))
         changes["table"] = scene.table.model_copy(update={"photo": photo, "rgba": colour, "reflectance": 0.0})
-    changes["plates"] = (Plate(camera=SCENE_CAMERA, photo=encode_photo(plate, _JPEG_QUALITY)),)
+    changes["plates"] = (Plate(camera=SCENE_CAMERA, photo=photo_text(encode_jpeg(plate, _JPEG_QUALITY))),)
     return scene.model_copy(update=changes)
 
 
