@@ -21,19 +21,14 @@ from ..photos.overlay.photos import PlacedCamera
 Numbers3 = tuple[float, float, float]
 
 
-class CalibratedCamera(Config):
-    """A fixed camera.
+class _CameraOnBody(Config):
+    """A camera on a base or a flange.
 
     Attributes:
         name: of its pictures in the episodes.
-        position, quat: pose of the camera's OpenCV frame (x right, y down, z forward) in the base of
-            `Calibration.reference`, m.
+        position, quat: pose of the camera's OpenCV frame (x right, y down, z forward) on the body, m.
         width, height, K, distortion: as in a camera file, px.
-        focal: whether the focal length was given, or estimated with the pose.
-        position_95_mm, rotation_95_deg, focal_95_percent, delay_95_ms: half widths of 95 % intervals; the first two
-            along and about the axes of the reference base.
-        delay_ms: pictures show the arms as they were this much before their time stamps.
-        frames: pictures that the fit used.
+        position_95_mm, rotation_95_deg: half widths of 95 % intervals along and about the body's axes.
         outline_px: median distance of the rendered outlines to the pictures' edges.
     """
 
@@ -44,14 +39,26 @@ class CalibratedCamera(Config):
     height: int
     K: tuple[Row, Row, Row]
     distortion: tuple[float, ...] = ()
-    focal: str = Field(pattern="^(given|estimated)$")
     position_95_mm: Numbers3
     rotation_95_deg: Numbers3
+    outline_px: float = Field(ge=0)
+
+
+class CalibratedCamera(_CameraOnBody):
+    """A fixed camera, in the base of `Calibration.reference`.
+
+    Attributes:
+        focal: whether the focal length was given, or estimated with the pose.
+        focal_95_percent, delay_95_ms: half widths of 95 % intervals.
+        delay_ms: pictures show the arms as they were this much before their time stamps.
+        frames: pictures that the fit used.
+    """
+
+    focal: str = Field(pattern="^(given|estimated)$")
     focal_95_percent: float = Field(ge=0)
     delay_ms: float
     delay_95_ms: float = Field(ge=0)
     frames: int = Field(ge=0)
-    outline_px: float = Field(ge=0)
 
     @property
     def T_cam_in_base(self) -> Array:
@@ -64,30 +71,16 @@ class CalibratedCamera(Config):
         return CameraModel(self.width, self.height, self.K, self.distortion)
 
 
-class CalibratedWristCamera(Config):
-    """A wrist camera.
+class CalibratedWristCamera(_CameraOnBody):
+    """A wrist camera, on an arm's flange.
 
     Attributes:
         arm: name of the arm that carries it.
-        position, quat: pose of its OpenCV frame on the arm's flange, m.
-        width, height, K, distortion: as in a camera file, px.
-        position_95_mm, rotation_95_deg: half widths of 95 % intervals along and about the flange's axes.
         pictures: that the fit used.
-        outline_px: median distance of the gripper's outline to the pictures' edges.
     """
 
-    name: str
     arm: str
-    position: Numbers3
-    quat: Quaternion
-    width: int
-    height: int
-    K: tuple[Row, Row, Row]
-    distortion: tuple[float, ...] = ()
-    position_95_mm: Numbers3
-    rotation_95_deg: Numbers3
     pictures: int = Field(ge=0)
-    outline_px: float = Field(ge=0)
 
 
 class CalibratedArm(Config):
