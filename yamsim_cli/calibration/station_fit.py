@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from ..core.attempt_data import ArmPosture
 from ..core.config.rig import RigConfig
-from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_vector
+from ..core.geometry.se3 import Array, invert_pose, rotation_vector
 from ..photos.edge_alignment import (
     EdgeOffsets,
     MaskOutline,
+    PoseCorrection,
     edge_offsets,
     edge_spread,
     edge_weights,
@@ -277,7 +278,7 @@ class StationProblem:
         poses, focal, delays, margins, biases = [], [], [], [], []
         for number, centre in enumerate(centres):
             own = step[self.layout.camera(number)]
-            poses.append(_moved(state.T_base_in_cam[number], own[:6], centre))
+            poses.append(PoseCorrection(own[:6], centre).apply_to_pose(state.T_base_in_cam[number]))
             focal.append(state.log_focal[number] + float(np.clip(own[FOCAL], -0.1, 0.1)))
             delays.append(state.delays[number] + float(own[DELAY]))
             margins.append(state.margins[number] + float(own[MARGIN]))
@@ -285,7 +286,7 @@ class StationProblem:
         bases = list(state.T_arm_in_base)
         for arm in range(len(bases)):
             if (place := self.layout.base(arm)) is not None:
-                bases[arm] = _moved(bases[arm], step[place], bases[arm][:3, 3])
+                bases[arm] = PoseCorrection(step[place], bases[arm][:3, 3]).apply_to_pose(bases[arm])
         offsets = tuple(rows + step[self.layout.offsets(arm)] for arm, rows in enumerate(state.offsets))
         return StationState(
             tuple(poses), tuple(focal), tuple(delays), tuple(margins), tuple(biases), offsets, tuple(bases)
@@ -381,11 +382,6 @@ class StationProblem:
                 J[mine, base.start : base.start + 3] = np.cross(points[mine] - origin, across[mine]) @ R
                 J[mine, base.start + 3 : base.stop] = across[mine] @ R
         return J
-
-
-def _moved(T: Array, step: Array, centre: Array) -> Array:
-    turn = rotation_from_vector(step[:3])
-    return pose(centre + step[3:6] + turn @ (T[:3, 3] - centre), turn @ T[:3, :3])
 
 
 @dataclass(frozen=True)

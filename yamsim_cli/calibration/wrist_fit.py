@@ -20,11 +20,19 @@ from ..core.config.scene import SceneConfig
 from ..core.errors import DatasetError
 from ..core.files.resources import Locations
 from ..core.geometry.camera import CameraModel
-from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_vector
+from ..core.geometry.se3 import Array, invert_pose, rotation_vector
 from ..core.images.image import Image
 from ..core.scene.cameras import wrist_camera_pose
 from ..core.statistics import Z95
-from ..photos.edge_alignment import edge_offsets, edge_spread, edge_weights, grain_px, mask_outline, points_in_camera
+from ..photos.edge_alignment import (
+    PoseCorrection,
+    edge_offsets,
+    edge_spread,
+    edge_weights,
+    grain_px,
+    mask_outline,
+    points_in_camera,
+)
 from ..photos.overlay.body_views import BodyRenderer
 from .chosen_frames import spread_choice, weighted_poses
 from .episode_pictures import EpisodePictures
@@ -227,7 +235,7 @@ class _WristProblem:
 
     def moved(self, T: Array, step: Array) -> Array:
         """Return the flange's pose after a step that turns about the flange."""
-        return pose(T[:3, 3] + step[3:6], rotation_from_vector(step[:3]) @ T[:3, :3])
+        return PoseCorrection(step[:6], T[:3, 3]).apply_to_pose(T)
 
     def _deviation(self, T: Array, state: Array) -> Array:
         turn = rotation_vector(T[:3, :3] @ self._T_prior[:3, :3].T)

@@ -149,11 +149,6 @@ class PoseCorrection:
         moved = self.centre + self.step[3:] + turn @ (T_in_cam[:3, 3] - self.centre)
         return pose(moved, turn @ T_in_cam[:3, :3])
 
-    @property
-    def approximate_displacement(self) -> float:
-        """Approximate displacement of points 0.3 m from `centre`, m."""
-        return float(np.linalg.norm(self.step[3:]) + 0.3 * np.linalg.norm(self.step[:3]))
-
 
 @dataclass(frozen=True)
 class PoseCorrectionEquations:

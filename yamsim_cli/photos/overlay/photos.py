@@ -160,7 +160,7 @@ def episode_photos(
 
 
 @contextmanager
-def _frame_errors(lowdim: Path, missing_key_remedy: str) -> Iterator[None]:
+def frame_errors(lowdim: Path, missing_key_remedy: str = "") -> Iterator[None]:
     """Raise DatasetError with the file `lowdim` for what is wrong with a recorded frame."""
     try:
         yield
@@ -176,7 +176,7 @@ def _placed_photos(episode: Path, files: Sequence[Path], rig: RigConfig, placed:
     rows, times = [], []
     for path in files:
         lowdim = episode / "lowdim" / f"{path.stem}.pkl"
-        with _frame_errors(lowdim, ""):
+        with frame_errors(lowdim):
             frame = load_frame(lowdim.read_bytes())
             rows.append(np.asarray(frame["joints"], dtype=np.float64))
             times.append(float(frame["timestamp"]))
@@ -193,7 +193,7 @@ def _placed_photos(episode: Path, files: Sequence[Path], rig: RigConfig, placed:
 
 def _frame_photo(episode: Path, camera: str, path: Path, rig: RigConfig) -> Photo:
     lowdim = episode / "lowdim" / f"{path.stem}.pkl"
-    with _frame_errors(lowdim, f" of camera {camera}; to use the images alone, give --img {episode}/rgb/{camera}"):
+    with frame_errors(lowdim, f" of camera {camera}; to use the images alone, give --img {episode}/rgb/{camera}"):
         frame = load_frame(lowdim.read_bytes())
         K = camera_matrix(frame, "intrinsics", camera)
         T_cam_in_base = camera_matrix(frame, "extrinsics", camera)

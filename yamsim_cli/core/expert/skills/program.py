@@ -198,7 +198,7 @@ def run_program(
             tries[number] = tries.get(number, 0) + 1
             if tries[number] >= _MAX_ATTEMPTS:
                 raise
-            log.recoveries.append(SkillRetry(number, _skill_name(skill), str(error)))
+            log.recoveries.append(SkillRetry(number, skill_name(skill), str(error)))
             # Arms without a free path stay where they are.
             with suppress(SkillFailedError):
                 yield from open_and_park_hands(context)
@@ -214,7 +214,8 @@ def run_program(
             number += 1
 
 
-def _skill_name(skill: Skill) -> str:
+def skill_name(skill: Skill) -> str:
+    """Return the name of a skill in programs."""
     return next((name for name, known in SKILLS.items() if type(skill) is known), type(skill).__name__.lower())
 
 
