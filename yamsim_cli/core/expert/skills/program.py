@@ -29,23 +29,26 @@ from .put_aside import PutAside, Regrasp, put_down_failed_object
 from .set_upright import SetUpright, TurnTowardsArms
 from .skill import Skill, find_holding_hand
 
-# The skills of programs. A new skill is a module in this package, and an entry here and in `SKILL_SECONDS`.
-SKILLS: Mapping[str, type[Skill]] = {
-    "pick": Pick,
-    "place": Place,
-    "insert": Insert,
-    "handover": Handover,
-    "put_aside": PutAside,
-    "push": Push,
-    "set_upright": SetUpright,
-    "turn": TurnTowardsArms,
-    "regrasp": Regrasp,
-    "operate": Operate,
-    "lift": BimanualLift,
-    "hang": Hang,
-    "fold": Fold,
-    "flatten": Flatten,
+# The skills of programs, and the typical duration of each, s. A new skill is a module in this package, and an entry
+# here. Source: means of successful attempts at the shipped tasks. No shipped task has `push`, `turn` or `regrasp`;
+# their values are estimated from a reach and a motion, `place` and `handover`.
+_SKILLS_AND_SECONDS: Mapping[str, tuple[type[Skill], float]] = {
+    "pick": (Pick, 2.7),
+    "place": (Place, 3.0),
+    "insert": (Insert, 3.0),
+    "handover": (Handover, 4.7),
+    "put_aside": (PutAside, 3.0),
+    "push": (Push, 5.0),
+    "set_upright": (SetUpright, 7.0),
+    "turn": (TurnTowardsArms, 3.0),
+    "regrasp": (Regrasp, 9.4),
+    "operate": (Operate, 5.0),
+    "lift": (BimanualLift, 3.7),
+    "hang": (Hang, 5.0),
+    "fold": (Fold, 6.8),
+    "flatten": (Flatten, 7.0),
 }
+SKILLS: Mapping[str, type[Skill]] = {name: kind for name, (kind, _) in _SKILLS_AND_SECONDS.items()}
 
 # Key of a loop over the objects of a role: `each: {of: cup, do: [...]}`.
 _LOOP_KEY = "each"
@@ -195,7 +198,7 @@ def run_program(
             tries[number] = tries.get(number, 0) + 1
             if tries[number] >= _MAX_ATTEMPTS:
                 raise
-            log.recoveries.append(SkillRetry(number, _skill_name(skill), str(error)))
+            log.recoveries.append(SkillRetry(number, skill_name(skill), str(error)))
             # Arms without a free path stay where they are.
             with suppress(SkillFailedError):
                 yield from open_and_park_hands(context)
@@ -211,7 +214,8 @@ def run_program(
             number += 1
 
 
-def _skill_name(skill: Skill) -> str:
+def skill_name(skill: Skill) -> str:
+    """Return the name of a skill in programs."""
     return next((name for name, known in SKILLS.items() if type(skill) is known), type(skill).__name__.lower())
 
 
@@ -240,24 +244,6 @@ def _skill_object(skill: Skill, roles: RoleAssignment) -> str:
     return roles.object_of(skill.roles()[0][1])
 
 
-# s. Source: means of successful attempts at the shipped tasks. No shipped task has `push`, `turn` or `regrasp`; their
-# values are estimated from a reach and a motion, `place` and `handover`.
-SKILL_SECONDS: Mapping[str, float] = {
-    "pick": 2.7,
-    "place": 3.0,
-    "insert": 3.0,
-    "handover": 4.7,
-    "put_aside": 3.0,
-    "push": 5.0,
-    "set_upright": 7.0,
-    "turn": 3.0,
-    "regrasp": 9.4,
-    "operate": 5.0,
-    "lift": 3.7,
-    "hang": 5.0,
-    "fold": 6.8,
-    "flatten": 7.0,
-}
 _FOLD_IN_THIRDS_FACTOR = 1.6  # of "fold", measured: folding in thirds takes two folds in one reach
 
 
@@ -271,5 +257,5 @@ def typical_tick_count(task: ProgramTask) -> int:
 
 
 def _typical_seconds(skill: Skill) -> float:
-    (name,) = (name for name, known in SKILLS.items() if type(skill) is known)
-    return SKILL_SECONDS[name] * (_FOLD_IN_THIRDS_FACTOR if isinstance(skill, Fold) and skill.how == "thirds" else 1)
+    (seconds,) = (seconds for kind, seconds in _SKILLS_AND_SECONDS.values() if type(skill) is kind)
+    return seconds * (_FOLD_IN_THIRDS_FACTOR if isinstance(skill, Fold) and skill.how == "thirds" else 1)
