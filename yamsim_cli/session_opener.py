@@ -52,6 +52,7 @@ _KEY_PATH_OF_SETTING: dict[str, tuple[str, ...]] = {
     "boards": ("boards",),
     "truth": ("truth",),
     "camera_effects": ("camera_effects",),
+    "disturb": ("disturb",),
     "size": ("image", "size_px"),
     "jpeg_quality": ("image", "jpeg_quality"),
     "action": ("action",),
@@ -151,6 +152,11 @@ class SessionOpener:
                 raise UsageError(f"{named} and {no} contradict each other; leave one out")
             own = self.load_record_config(name, locations, **(given | {"randomize": None})).randomization.varied_parts
             given["randomize"] = (None if own else "default") if randomize else "none"
+        if given.get("disturb"):
+            own_ranges = self.load_record_config(name, locations, **(given | {"disturb": None})).disturb
+            given["disturb"] = None if own_ranges else {}
+        else:
+            given["disturb"] = None
         fps = given.pop("fps", None)
         paths = {
             setting: path

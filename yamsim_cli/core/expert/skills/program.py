@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
 from pydantic import ValidationError
 
+from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
 from ...config.program_task import ProgramTask
 from ...errors import ConfigError, suggest_similar
@@ -186,7 +187,7 @@ def _read_skill(
 
 def run_program(
     program: Sequence[Skill], context: PlanningContext, roles: RoleAssignment, log: RecoveryLog
-) -> Iterator[MotionSegment]:
+) -> Generator[MotionSegment, None, None]:
     """Yield the segments of skills in order; a skill that fails is retried from the present state."""
     number = 0
     tries: dict[int, int] = {}
@@ -199,9 +200,9 @@ def run_program(
             if tries[number] >= _MAX_ATTEMPTS:
                 raise
             log.recoveries.append(SkillRetry(number, skill_name(skill), str(error)))
-            # Arms without a free path stay where they are.
+            # Arms without a free path stay where they are, and so do those that follow a pushed object.
             with suppress(SkillFailedError):
-                yield from open_and_park_hands(context)
+                yield from () if error.cause is FailureCause.KNOCKED else open_and_park_hands(context)
             if (
                 tries[number] == _ATTEMPTS_WITH_SAME_GRASP
                 and isinstance(skill, PlaceSkill)
