@@ -167,8 +167,10 @@ def test_interrupted_then_resumed_gives_the_same_bytes(
         if second:
             process.send_signal(second)
         _, err = process.communicate(timeout=60)
-    assert process.returncode == 130, err
     whole = len(list(path.glob("ep_*")))
+    if process.returncode == 0 and whole == 3:
+        pytest.skip("the machine is too busy: the last episode was begun before the signal arrived")
+    assert process.returncode == 130, err
     assert err.splitlines()[-1] == (
         f"yamsim: interrupted: {whole} of 3 episodes are complete in {path}, {3 - whole} are left; "
         "continue with --resume"

@@ -132,6 +132,7 @@ def test_two_episodes_side_by_side(browser: Browser, dataset: Path) -> None:
         wait_until(lambda: browser.run("return document.getElementById('pinned-side').hidden"), 30)
 
 
+@pytest.mark.long
 def test_a_scene_that_cannot_be_played_is_told(browser: Browser, dataset: Path) -> None:
     """The stubs have no config that `yamsim replay` can simulate."""
     with served(dataset) as url:

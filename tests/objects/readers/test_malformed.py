@@ -23,6 +23,7 @@ pytestmark = pytest.mark.skipif(not has_import_extra(), reason="needs the extra:
 LIMIT = 120
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_no_malformed_file_hangs_crashes_or_shows_a_traceback(tmp_path: Path) -> None:
     seen = 0
