@@ -166,7 +166,7 @@ def test_interrupted_then_resumed_gives_the_same_bytes(
         assert process.stderr.readline().startswith("Stopping once the attempts in progress are done.")
         if second:
             process.send_signal(second)
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=300)
     whole = len(list(path.glob("ep_*")))
     if process.returncode == 0 and whole == 3:
         pytest.skip("the machine is too busy: the last episode was begun before the signal arrived")
