@@ -139,7 +139,7 @@ class Calibration(Config):
         raise UsageError(f"the calibration has no camera {name!r}; {suggest_similar(str(name), names)}")
 
     def placed_camera(self, camera: CalibratedCamera) -> PlacedCamera:
-        """Return one of the cameras and the arms, as `overlay` and `match` draw them."""
+        """Return the model of a camera with its delay, and the arms' base poses in it with their joint offsets."""
         T_reference_in_cam = invert_pose(camera.T_cam_in_base)
         bases = tuple(T_reference_in_cam @ arm.T_base_in_reference for arm in self.arms)
         return PlacedCamera(camera.camera_model, bases, tuple(arm.offsets for arm in self.arms), camera.delay_ms / 1000)

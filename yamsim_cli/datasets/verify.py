@@ -197,7 +197,7 @@ class EpisodeVerifier(Closable):
 
     def _physical(self, frames: RecordedFrames) -> RecordedFrames:
         """Return frames without the values of cameras, if the images show another rig than physics has."""
-        return _without_keys(frames) if self._other_rig else frames
+        return _without_keys(frames, _CAMERA_KEYS) if self._other_rig else frames
 
     def _simulator_of(self, record: EpisodeRecord) -> Simulator:
         return self._simulators.get(AttemptJob(record.seed, record.attempt))
@@ -251,10 +251,10 @@ def reproduce_frames(
     )
     made: RecordedFrames = made_frames(simulator, attempt, done.recorded_states)
     if simulator.config.disturb is not None:
-        # The drives' commands do not tell those of the expert before disturbances.
+        # Replayed actions are the disturbed `sim_ctrl`; the expert's own commands cannot be computed from them.
         frames, made = (_without_keys(each, ("ctrl", ACTION)) for each in (frames, made))
     if "extrinsics" not in frames[0]:
-        made = _without_keys(made)
+        made = _without_keys(made, _CAMERA_KEYS)
     return _merge_comparisons(compare_frames(frames, made, tolerance), once)
 
 
@@ -265,7 +265,7 @@ def reproduce_episode(episode: StoredEpisode, session: Session) -> EpisodeCompar
         return reproduce_frames(simulator, episode, episode.frames(), tolerance=0.0)
 
 
-def _without_keys(frames: RecordedFrames, keys: Collection[str] = _CAMERA_KEYS) -> list[dict[str, Any]]:
+def _without_keys(frames: RecordedFrames, keys: Collection[str]) -> list[dict[str, Any]]:
     return [{key: value for key, value in frame.items() if key not in keys} for frame in frames]
 
 

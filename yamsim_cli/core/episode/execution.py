@@ -12,7 +12,7 @@ from ..attempt_data import ActionSequence, Attempt, FailureCause, JointPath, Out
 from ..expert.planning.arm_solvers import start_postures
 from ..expert.skills.common_motions import park_free_hands
 from ..expert.skills.planning_context import MotionSegment, PlanningContext, SkillFailedError
-from ..expert.skills.program import RecoveryLog, build_program, run_program
+from ..expert.skills.program import RecoveryLog, build_program, run_program, skill_object
 from ..scene.compiled import CompiledScene
 from ..scene.random_streams import Stream, random_generator
 from .commands import path_actions
@@ -49,7 +49,7 @@ def simulate_expert(
         )
     task = simulator.config.task
     program, to_actions = build_program(task, simulator.roles), functools.partial(_path_actions, simulator.scene, grips)
-    picked = [simulator.roles.object_of(skill.roles()[0][1]) for skill in program if skill.LEAVES_OBJECT_HELD]
+    picked = [skill_object(skill, simulator.roles) for skill in program if skill.LEAVES_OBJECT_HELD]
     episode = open_episode(simulator, attempt, EXPERT_RULES)
     execution = DisturbedExecution(simulator.config, attempt.job, episode, to_actions, picked if disturbed else None)
     attempt = replace(attempt, variation=replace(attempt.variation, pushes=execution.pushes))

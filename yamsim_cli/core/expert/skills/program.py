@@ -231,16 +231,16 @@ def _step_to_retry(program: Sequence[Skill], number: int, context: PlanningConte
     """
     if not program[number].REQUIRES_HELD_OBJECT:
         return number
-    thing = _skill_object(program[number], roles)
+    thing = skill_object(program[number], roles)
     if find_holding_hand(context, thing) is not None:
         return number
     takes = (
         k for k in reversed(range(number)) if program[k].LEAVES_OBJECT_HELD and not program[k].REQUIRES_HELD_OBJECT
     )
-    return next((k for k in takes if _skill_object(program[k], roles) == thing), number)
+    return next((k for k in takes if skill_object(program[k], roles) == thing), number)
 
 
-def _skill_object(skill: Skill, roles: RoleAssignment) -> str:
+def skill_object(skill: Skill, roles: RoleAssignment) -> str:
     """Return the object of a skill's first role, to which `REQUIRES_HELD_OBJECT` and `LEAVES_OBJECT_HELD` refer."""
     return roles.object_of(skill.roles()[0][1])
 
