@@ -340,6 +340,51 @@ def rerun(
     _print(done, json, source.selection)
 
 
+@app.command()
+def calibration(
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="CALIBRATION", help="calibration.yaml of `yamsim calibrate`.", show_default=False),
+    ],
+    out: Out,
+    formats: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--format",
+            metavar="FORMAT",
+            help="ros, kalibr, raiden or inspect_robots; may be repeated.  [default: all that fit]",
+            show_default=False,
+        ),
+    ] = None,
+    overwrite: RenameExisting = False,
+    json: Json = False,
+) -> None:
+    """Write a station's calibration in formats of other programs, as OUT/FORMAT/, and say what does not fit.
+
+    Example: yamsim export calibration calibration/calibration.yaml sidecars/ --format ros
+    """
+    session_opener.disable_gl()
+
+    from yamsim_cli.calibration.calibration_file import load_calibration
+    from yamsim_cli.calibration.sidecars.table import make_files, require_formats, write_files
+
+    chosen = require_formats(formats or ())
+    where = session_opener.find_locations()
+    found = load_calibration(file, where)
+    made = make_files(found, session_opener.load_rig(found.rig, where), where, chosen)
+    moved = write_files(made, out, overwrite=overwrite)
+    left_out = [line for one in made.values() for line in one.left_out]
+    for line in left_out:
+        print_note(f"left out: {line}")
+    note_moved(out, moved)
+    written = {name: sorted(one.files) for name, one in made.items() if one.files}
+    if json:
+        report = {"path": str(out), "formats": written, "left_out": left_out}
+        print_json(report | {"moved_aside": str(moved) if moved else None})
+    else:
+        print_line(f"{', '.join(written)}: {count_noun(sum(map(len, written.values())), 'file')} in {out}")
+
+
 def _parse_fps(text: str) -> float | None:
     if text == "source":
         return None
