@@ -20,7 +20,7 @@ TEST_WORKERS := $(shell expr $$(getconf _NPROCESSORS_ONLN) + 2)
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev gl meshes test-programs demo test test-slow test-clients test-clients-heavy test-all golden-update pictures lint type bench bench-fiducials docs build lock clean
+.PHONY: help setup setup-dev gl meshes test-programs demo test test-slow test-long test-clients test-clients-heavy test-all golden-update pictures lint type bench bench-fiducials docs build lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -64,7 +64,10 @@ test: setup-dev gl meshes ## run the tests, without the slow ones and those that
 	$(PYTHON_BIN) -m pytest -n $(TEST_WORKERS) --dist worksteal -m "not slow and not network and not client and not client_heavy" $(PYTEST_ARGS)
 
 test-slow: setup-dev gl meshes test-programs ## run the rest: the slow ones, and those that need the internet or other programs
-	$(PYTHON_BIN) -m pytest -n $(TEST_WORKERS) --dist worksteal -m "(slow or network) and not client and not client_heavy" $(PYTEST_ARGS)
+	$(PYTHON_BIN) -m pytest -n $(TEST_WORKERS) --dist worksteal -m "(slow or network) and not long and not client and not client_heavy" $(PYTEST_ARGS)
+
+test-long: setup-dev gl meshes test-programs ## run those slow tests that continuous integration leaves out
+	$(PYTHON_BIN) -m pytest -n $(TEST_WORKERS) --dist worksteal -m long $(PYTEST_ARGS)
 
 # Each client has an environment of its own in .venv-clients, made once. What was found lies in out/clients.jsonl, from which
 # `python -m tests.clients.table` brings the table in docs/clients.md up to date.

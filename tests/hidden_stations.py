@@ -26,7 +26,7 @@ from yamsim_cli.core.images.png import encode_png
 from yamsim_cli.core.scene.cameras import WORLD_BODY, SceneCamera
 from yamsim_cli.core.scene.randomized_model import texture_image
 from yamsim_cli.match.station_renderer import StationRenderer
-from yamsim_cli.scene_photos.embedded_photos import encode_photo
+from yamsim_cli.scene_photos.embedded_photos import photo_text
 
 NOISE, BLUR, JPEG = 2.0, 0.5, 92  # grey levels, px, quality
 _TEXTURES = ("plain", "wood", "concrete", "noise", "marble", "terrazzo")
@@ -71,7 +71,8 @@ def hidden_station(
     surface = SurfaceSample(
         str(rng.choice(_TEXTURES)), (colours, tuple(0.75 * np.array(colours))), int(rng.integers(2, 6)), seed
     )
-    table = base.table.model_copy(update={"photo": encode_photo(texture_image(surface, 512), 95), "reflectance": 0.0})
+    photo = photo_text(encode_jpeg(texture_image(surface, 512), 95))
+    table = base.table.model_copy(update={"photo": photo, "reflectance": 0.0})
     floor = tuple(tuple(rng.uniform(0.2, 0.7) * np.ones(3)) for _ in range(2))
     light = Light.model_validate({"direction": tuple(direction), "diffuse": tuple(diffuse), "castshadow": True})
     scene = base.model_copy(

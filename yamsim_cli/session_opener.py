@@ -52,6 +52,7 @@ _KEY_PATH_OF_SETTING: dict[str, tuple[str, ...]] = {
     "boards": ("boards",),
     "truth": ("truth",),
     "camera_effects": ("camera_effects",),
+    "disturb": ("disturb",),
     "size": ("image", "size_px"),
     "jpeg_quality": ("image", "jpeg_quality"),
     "action": ("action",),
@@ -145,12 +146,16 @@ class SessionOpener:
             given["size"] = parse_size(size)
         if effects := given.get("camera_effects"):
             given["camera_effects"] = parse_camera_effects(effects)
-        if (randomize := given.get("randomize")) is not None:
-            if not randomize and given.get("randomization"):
-                named, no = self.setting_label("randomization"), self.setting_label("no_randomize")
-                raise UsageError(f"{named} and {no} contradict each other; leave one out")
-            own = self.load_record_config(name, locations, **(given | {"randomize": None})).randomization.varied_parts
-            given["randomize"] = (None if own else "default") if randomize else "none"
+        randomize, disturb = given.get("randomize"), given.pop("disturb", None)
+        if randomize is False and given.get("randomization"):
+            named, no = self.setting_label("randomization"), self.setting_label("no_randomize")
+            raise UsageError(f"{named} and {no} contradict each other; leave one out")
+        if randomize is not None or disturb:
+            own = self.load_record_config(name, locations, **(given | {"randomize": None}))
+            if randomize is not None:
+                given["randomize"] = (None if own.randomization.varied_parts else "default") if randomize else "none"
+            if disturb and own.disturb is None:
+                given["disturb"] = {}
         fps = given.pop("fps", None)
         paths = {
             setting: path

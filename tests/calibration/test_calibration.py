@@ -23,7 +23,9 @@ from yamsim_cli.calibration.chosen_frames import (
     uncovered_background,
 )
 from yamsim_cli.calibration.pose_search import MaskView, mask_overlap
-from yamsim_cli.core.errors import ConfigError, SimulationError
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.errors import ConfigError, SimulationError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import pose
 
@@ -65,6 +67,24 @@ def test_a_calibration_is_read_as_written(locations: Locations, tmp_path: Path) 
     file.write_text("rig: single\n")
     with pytest.raises(ConfigError, match=r"calibration\.yaml"):
         load_calibration(file, locations)
+
+
+def test_a_calibration_places_the_camera_and_the_arms_of_its_rig(locations: Locations) -> None:
+    calibration = _calibration(0.3)
+    placed = calibration.placed_camera(calibration.camera(None, "--calibrated-camera"))
+    np.testing.assert_allclose(placed.T_bases_in_cam[0] @ [0.3, 0.0, 1.0, 1.0], [0.0, 0.0, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(np.degrees(placed.offsets[0]), [0.0, 1.0])
+    assert (placed.delay, placed.camera.K) == (0.01, calibration.cameras[0].K)
+    single, russet = (load_config(RigConfig, "rigs", name, locations) for name in ("single", "russet"))
+    with pytest.raises(UsageError, match="--calibration: the calibration is of rig 'single', not 'russet'"):
+        calibration.for_rig(russet, "--calibration")
+    (arm,) = single.arms
+    other = single.model_copy(update={"arms": (arm.model_copy(update={"name": "other"}),)})
+    with pytest.raises(UsageError, match="has the arms arm1; rig 'single' has other"):
+        calibration.for_rig(other, "--calibration")
+    several = calibration.model_copy(update={"cameras": calibration.cameras * 2})
+    with pytest.raises(UsageError, match=r"several cameras \(top, top\); name one: --calibrated-camera"):
+        several.camera(None, "--calibrated-camera")
 
 
 def test_a_check_fails_beyond_both_intervals() -> None:

@@ -111,6 +111,7 @@ def test_an_agents_program_starts_it_and_gets_reports_and_messages(tmp_path: Pat
     assert "none is not a directory" in refusal(missing)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.render
 def test_trials_views_and_checks(tmp_path: Path) -> None:

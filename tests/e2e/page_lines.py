@@ -51,6 +51,7 @@ NOT_RUN = {
     r"^yamsim can-run\b": "it runs another program, as tests/clients/test_i2rt.py does in an environment of its own",
     r"--task kitchenbench/": "it needs the benchmark; tests/kitchenbench/test_recorded.py records a scene of it",
     r"--out (varied|late_arms|by_friction|left_arm|handover|apples)\b": "tests/recorded_bytes.py has its like",
+    r"--out recoveries\b": "tests/test_disturbed_motion.py records and verifies such an episode",
     r"\b(towers|folded)\b": "tests/e2e/test_program_recordings.py records and verifies these tasks",
     r"^yamsim trials --task tower": "a later line, `yamsim tasks check tower`, tries the same",
     r"^yamsim assets certify kitchen_": "another line certifies a mug; tests/objects/certify has all objects",

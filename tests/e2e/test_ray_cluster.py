@@ -21,6 +21,7 @@ def test_the_same_bytes_as_processes_write(tmp_path: Path) -> None:
     assert digest(tmp_path / "ray") == digest(tmp_path / "processes")
 
 
+@pytest.mark.long
 def test_ctrl_c_finishes_what_is_in_hand_and_resume_goes_on(tmp_path: Path) -> None:
     pytest.importorskip("ray")
     out = tmp_path / "stopped"

@@ -155,20 +155,13 @@ def test_interrupted_then_resumed_gives_the_same_bytes(
     """One signal waits for the present episode, two do not; nothing is lost either way."""
     path = tmp_path / "interrupted"
     flags = ["--n", "3", "--workers", "1", "--out", str(path), *SMALL]
-    with subprocess.Popen(
-        [sys.executable, "-m", "yamsim_cli", "record", *flags], stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stderr
-        wait_for(path / "ep_000000" / "episode.json")
-        # The next attempt, which takes seconds, starts as soon as the ledger is written.
-        time.sleep(0.3)
-        process.send_signal(first)
-        assert process.stderr.readline().startswith("Stopping once the attempts in progress are done.")
-        if second:
-            process.send_signal(second)
-        _, err = process.communicate(timeout=60)
-    assert process.returncode == 130, err
+    for _ in range(3):
+        code, err = interrupted(path, flags, first, second)
+        if code != 0:
+            break
+        shutil.rmtree(path)  # on a busy machine, the last episode may begin before the signal arrives
     whole = len(list(path.glob("ep_*")))
+    assert code == 130, err
     assert err.splitlines()[-1] == (
         f"yamsim: interrupted: {whole} of 3 episodes are complete in {path}, {3 - whole} are left; "
         "continue with --resume"
@@ -180,6 +173,23 @@ def test_interrupted_then_resumed_gives_the_same_bytes(
     run = yamsim("record", *flags, "--resume", "--json")
     assert run.code == 0, run.err
     assert digest(path) == digest(dataset)
+
+
+def interrupted(path: Path, flags: list[str], first: signal.Signals, second: signal.Signals | None) -> tuple[int, str]:
+    """Record, and send signals after the first episode; the exit code and the rest of stderr."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "yamsim_cli", "record", *flags], stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stderr
+        wait_for(path / "ep_000000" / "episode.json")
+        # The next attempt, which takes seconds, starts as soon as the ledger is written.
+        time.sleep(0.3)
+        process.send_signal(first)
+        assert process.stderr.readline().startswith("Stopping once the attempts in progress are done.")
+        if second:
+            process.send_signal(second)
+        _, err = process.communicate(timeout=300)
+    return process.returncode, err
 
 
 def wait_for(path: Path) -> None:

@@ -53,7 +53,7 @@ def counted(browser: Browser) -> str:
 
 
 def until_counted(browser: Browser, part: str) -> None:
-    wait_until(lambda: part in counted(browser), 30)
+    wait_until(lambda: part in counted(browser), 120)
 
 
 def test_a_person_decides_by_keyboard(browser: Browser, dataset: Path, tmp_path: Path) -> None:
@@ -63,7 +63,7 @@ def test_a_person_decides_by_keyboard(browser: Browser, dataset: Path, tmp_path:
         until_counted(browser, f"{EPISODES} of {EPISODES} shown")
         assert browser.run("return document.documentElement.scrollWidth") <= 1366
         broken = "return [...document.images].filter(i => i.src && i.complete && !i.naturalWidth).length"
-        wait_until(lambda: browser.run("return document.images[0].complete && document.images[0].naturalWidth"), 30)
+        wait_until(lambda: browser.run("return document.images[0].complete && document.images[0].naturalWidth"), 120)
         assert browser.run(broken) == 0
         unnamed = "return [...document.querySelectorAll('button,input,select,canvas')].filter(e => !(e.ariaLabel || e.labels?.length || e.textContent.trim() || e.hidden)).map(e => e.outerHTML)"  # noqa: E501
         assert [text for text in browser.run(unnamed) if 'hidden=""' not in text and "spacer" not in text] == []
@@ -72,9 +72,9 @@ def test_a_person_decides_by_keyboard(browser: Browser, dataset: Path, tmp_path:
         browser.keys("u")
         until_counted(browser, "1 keep · 0 drop")
         browser.keys("d\ue007")  # drop again, open
-        wait_until(lambda: "frame 0 of 3" in browser.text(), 30)
+        wait_until(lambda: "frame 0 of 3" in browser.text(), 120)
         browser.keys("\ue014[")  # one frame on, trim the beginning
-        wait_until(lambda: "frames 1 to the last" in browser.text(), 30)
+        wait_until(lambda: "frames 1 to the last" in browser.text(), 120)
         browser.keys("\ue00c")  # back
         brush_left_half(browser)
         shown = int(re.match(r"(\d+) of", counted(browser))[1])  # type: ignore[index]
@@ -102,14 +102,14 @@ def brush_left_half(browser: Browser) -> None:
     )
     x, y, width, height = box
     browser.drag((x + 46, y + 5), (x + width / 2, y + height - 25))
-    wait_until(lambda: not counted(browser).startswith(f"{EPISODES} of"), 30)
+    wait_until(lambda: not counted(browser).startswith(f"{EPISODES} of"), 120)
 
 
 def test_two_episodes_side_by_side(browser: Browser, dataset: Path) -> None:
     with served(dataset) as url:
         open_page(browser, url)
         browser.keys("\ue007")  # open the first
-        wait_until(lambda: "frame 0 of 3" in browser.text(), 30)
+        wait_until(lambda: "frame 0 of 3" in browser.text(), 120)
         browser.keys("c\ue00c\ue014\ue007")  # compare, back, right, open
         wait_until(
             lambda: browser.run("return document.getElementById('episode-title').textContent") == "Episode 1", 30
@@ -117,7 +117,7 @@ def test_two_episodes_side_by_side(browser: Browser, dataset: Path) -> None:
         left = (
             "return ['cameras', 'pinned'].map(id => document.querySelector(`#${id} canvas`)?.getBoundingClientRect().x)"
         )
-        wait_until(lambda: None not in browser.run(left), 30)
+        wait_until(lambda: None not in browser.run(left), 120)
         here, there = browser.run(left)
         assert here < there
         assert "Episode 0, 4 frames" in browser.text()
@@ -125,13 +125,14 @@ def test_two_episodes_side_by_side(browser: Browser, dataset: Path) -> None:
         assert "faint: the joints of episode 0" in browser.run("return document.getElementById('timeline').ariaLabel")
         # The same key pins this one as soon as it has arrived.
         browser.keys("\ue014")
-        wait_until(lambda: "frame 1 of 3" in browser.text(), 30)
+        wait_until(lambda: "frame 1 of 3" in browser.text(), 120)
         browser.keys("c")
-        wait_until(lambda: "Episode 1, 4 frames" in browser.text(), 30)
+        wait_until(lambda: "Episode 1, 4 frames" in browser.text(), 120)
         browser.keys("c")
-        wait_until(lambda: browser.run("return document.getElementById('pinned-side').hidden"), 30)
+        wait_until(lambda: browser.run("return document.getElementById('pinned-side').hidden"), 120)
 
 
+@pytest.mark.long
 def test_a_scene_that_cannot_be_played_is_told(browser: Browser, dataset: Path) -> None:
     """The stubs have no config that `yamsim replay` can simulate."""
     with served(dataset) as url:

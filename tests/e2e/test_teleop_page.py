@@ -91,6 +91,7 @@ def at(driven: TeleopScene, place: Array, tolerance: float = 0.006) -> bool:
     return bool(near and np.abs(driven.data.qvel[:6]).max() < 0.02)
 
 
+@pytest.mark.long
 def test_a_drag_of_the_gizmo_moves_the_hand(
     config: RecordConfig, locations: Locations, browser: Browser, tmp_path: Path, screens: Path
 ) -> None:
@@ -111,6 +112,7 @@ def test_a_drag_of_the_gizmo_moves_the_hand(
         wait_until(lambda: at(driven, driven.target_pose[:3, 3], 0.01))
 
 
+@pytest.mark.long
 def test_every_key_counts_and_none_overtakes_a_number(
     config: RecordConfig, locations: Locations, browser: Browser, tmp_path: Path
 ) -> None:
@@ -199,6 +201,7 @@ def test_what_is_done_on_the_page_is_an_episode(
     assert (verified.code, json.loads(verified.out)["max_error"]) == (0, 0)
 
 
+@pytest.mark.long
 def test_a_page_that_is_closed_pauses_its_recording(
     config: RecordConfig, locations: Locations, browser: Browser, tmp_path: Path
 ) -> None:
@@ -218,6 +221,7 @@ def test_a_page_that_is_closed_pauses_its_recording(
         wait_until(lambda: driven.status.seconds > before)
 
 
+@pytest.mark.long
 def test_a_page_whose_server_is_killed_says_so(browser: Browser, tmp_path: Path, screens: Path) -> None:
     command = ["teleop", "--out", str(tmp_path / "d"), "--port", "0", "--quality", "fast", "--size", "64x48"]
     process = subprocess.Popen(

@@ -115,6 +115,7 @@ def test_trials_are_filmed_failures_first(
         assert sum(1 for _ in container.decode(video=0)) == sum(lengths)
 
 
+@pytest.mark.long
 def test_a_browser_shows_the_episode_and_its_slider_seeks(dataset: Path, browser: Browser) -> None:
     pytest.importorskip("viser", reason="yamsim[view] is not installed")
     with shown("replay", dataset / "ep_000001", "--web", "--port", "0", "--speed", "0.2") as page:

@@ -56,6 +56,7 @@ def live(locations: Locations) -> LiveRig:
     return make_live_rig(Blueprint(rig, scene), locations)
 
 
+@pytest.mark.long
 def test_a_slider_and_the_buttons_move_the_arm(live: LiveRig, browser: Browser, screens: Path) -> None:
     with served(live) as url:
         browser.open(url)
@@ -76,6 +77,7 @@ def test_a_slider_and_the_buttons_move_the_arm(live: LiveRig, browser: Browser, 
         wait_until(lambda: live.paused and "paused" in browser.text())
 
 
+@pytest.mark.long
 def test_the_boards_on_the_page_are_the_rigs_own(
     live: LiveRig, browser: Browser, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -141,6 +143,7 @@ def test_margin_and_cameras_on_the_page(live: LiveRig, browser: Browser, screens
         browser.screenshot(screens / "view_through_wrist.png")
 
 
+@pytest.mark.long
 @pytest.mark.render
 def test_a_task_and_its_episode_in_the_browser(browser: Browser, tmp_path: Path, screens: Path) -> None:
     out = tmp_path / "d"

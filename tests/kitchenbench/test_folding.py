@@ -128,6 +128,7 @@ class _Square:
         return np.zeros(3), np.array((self._side, self._side, 0.005))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_crumpled_cloth_starts_the_same_way_each_time_and_not_folded() -> None:
     first, again = realized("fold-cloth-crumpled-start"), realized("fold-cloth-crumpled-start")

@@ -12,10 +12,11 @@ import pytest
 from tests.cli.run_cli import yamsim
 from tests.hidden_stations import hidden_station, write_station
 from tests.rig_photos import CAMERA as BOARD_CAMERA
-from tests.rig_photos import JOINTS, RigPhotographer, looking
+from tests.rig_photos import JOINTS, RigPhotographer, looking, standing
 from yamsim_cli.calibration.calibration_file import load_calibration
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rendering import RenderConfig
+from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.files.resources import Locations
@@ -27,6 +28,8 @@ from yamsim_cli.match.match_report import report_data, require_overlap, write_ma
 from yamsim_cli.match.match_run import MatchRequest, common_view, locate_arms, match_station, scene_camera_of
 from yamsim_cli.match.pinhole_view import PinholeView
 from yamsim_cli.match.plate import make_plate
+from yamsim_cli.match.station_renderer import StationRenderer
+from yamsim_cli.photos.overlay.photos import PlacedCamera
 from yamsim_cli.photos.overlay.rendered_arms import ArmRenderers
 
 CAMERA = CameraModel(320, 240, ((300.0, 0.0, 165.0), (0.0, 299.0, 117.0), (0.0, 0.0, 1.0)), (-0.1, 0.03, 0.0, 0.0, 0.0))
@@ -41,10 +44,11 @@ def test_the_matched_scene_is_nearer_to_the_photos(locations: Locations, tmp_pat
     write_station(truth, locations, tmp_path / "photos", tmp_path / "masks", 2)
     scenes = [load_config(SceneConfig, "scenes", name, locations) for name in ("tabletop", "studio")]
     quality = load_config(RenderConfig, "quality", "fast", locations)
+    calibration = load_calibration(tmp_path / "calibration.yaml", locations)
     request = MatchRequest(
         sorted((tmp_path / "photos").iterdir()),
         truth.postures,
-        calibration=load_calibration(tmp_path / "calibration.yaml", locations),
+        placed=calibration.placed_camera(calibration.camera(None, "--calibrated-camera")),
         masks=tmp_path / "masks",
     )
     match = match_station(truth.rig, scenes[0], scenes[1], quality, request, locations, lambda *_: None)
@@ -134,6 +138,33 @@ def test_boards_give_the_camera_s_pose(locations: Locations, tmp_path: Path) -> 
     assert np.degrees(np.linalg.norm(rotation_vector(apart[:3, :3]))) < 0.2
     assert notes == ()
     assert all(found.edge_residual is not None and found.edge_residual < 1 for found in located)
+
+
+@pytest.mark.render
+def test_calibrated_arms_are_where_the_calibration_says(locations: Locations, tmp_path: Path) -> None:
+    rig = load_config(RigConfig, "rigs", "russet", locations)
+    farther = rig.model_copy(update={"margin": rig.margin + 0.03})
+    T_world_in_cam = np.linalg.inv(looking((1.1, -0.1, 0.9), (0.1, 0.0, 0.1)))
+    offsets = (np.zeros(6), np.full(6, 0.01))
+    placed = PlacedCamera(CAMERA, tuple(T_world_in_cam @ farther.T_base_in_world(k) for k in (0, 1)), offsets, 0.0)
+    studio, tabletop = (load_config(SceneConfig, "scenes", name, locations) for name in ("studio", "tabletop"))
+    quality = load_config(RenderConfig, "quality", "fast", locations)
+    request = MatchRequest([tmp_path / "photo.png"], [standing(JOINTS)], placed=placed)
+    image = np.zeros((240, 320, 3), np.uint8)
+    with ArmRenderers(rig, studio, quality, locations) as outlines:
+        (located,) = locate_arms(rig, request, [image], [standing(JOINTS)], outlines)
+    np.testing.assert_allclose(list(located.base_poses.values()), placed.T_bases_in_cam)
+    view, _ = common_view(rig, [located])
+    bases = [view.T_cam_in_world @ T for T in placed.T_bases_in_cam]
+    np.testing.assert_allclose(bases[0], rig.T_base_in_world(0), atol=1e-9)
+    seen = []
+    shift = pose((0.0, farther.arm_origin_y(0) - rig.arm_origin_y(0), 0.0))
+    for own, T_bases, T_cam in ((rig, bases, view.T_cam_in_world), (farther, None, shift @ view.T_cam_in_world)):
+        camera = PinholeView.of_camera(CAMERA, T_cam).scene_camera
+        with StationRenderer(own, tabletop, quality, camera, (160, 120), locations, T_bases) as station:
+            station.set_postures(standing(JOINTS))
+            seen.append(station.masks()[0])
+    assert (seen[0] != seen[1]).sum() < 10 < seen[0].sum() / 100
 
 
 def test_a_plate_shows_what_the_arms_hide_in_some_photos_and_fills_the_rest() -> None:

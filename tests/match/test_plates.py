@@ -22,8 +22,9 @@ from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import rotation_from_vector
+from yamsim_cli.core.images.jpeg import encode_jpeg
 from yamsim_cli.core.scene.cameras import fixed_camera
-from yamsim_cli.scene_photos.embedded_photos import Plate, decode_photo, encode_photo
+from yamsim_cli.scene_photos.embedded_photos import Plate, decode_photo, photo_text
 from yamsim_cli.scene_photos.table_texture import add_table_texture
 
 CAMERA, SIZE = "scene_camera", (160, 120)
@@ -41,7 +42,8 @@ def config(make_config: Callable[..., RecordConfig]) -> RecordConfig:
 
 
 def with_plate(config: RecordConfig, photo: np.ndarray) -> RecordConfig:
-    scene = config.scene.model_copy(update={"plates": (Plate(camera=CAMERA, photo=encode_photo(photo, 98)),)})
+    plate = Plate(camera=CAMERA, photo=photo_text(encode_jpeg(photo, 98)))
+    scene = config.scene.model_copy(update={"plates": (plate,)})
     return config.model_copy(update={"scene": scene})
 
 
@@ -56,7 +58,7 @@ def arm_states(simulator: Simulator) -> list[np.ndarray]:
 @pytest.mark.render
 def test_arms_and_objects_are_before_the_photo_and_shade_it(config: RecordConfig, locations: Locations) -> None:
     photo = photo_of_squares(*SIZE)
-    shown = decode_photo(encode_photo(photo, 98)).astype(int)
+    shown = decode_photo(photo_text(encode_jpeg(photo, 98))).astype(int)
     images: dict[bool, list[np.ndarray]] = {}
     for plate in (False, True):
         chosen = with_plate(config, photo) if plate else config
@@ -88,7 +90,7 @@ def test_a_photo_on_the_table_has_its_right_at_x_and_its_upper_edge_at_y() -> No
     image = np.zeros((40, 60, 3), np.uint8)
     image[:20, 30:] = (255, 0, 0)
     spec = mujoco.MjSpec()
-    name = add_table_texture(spec, encode_photo(image, 98), 0.0)
+    name = add_table_texture(spec, photo_text(encode_jpeg(image, 98)), 0.0)
     spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.3, 0.2, 0.01], material=name)
     model = spec.compile()
     pixels = model.tex_data.reshape(40, 60, 3)
@@ -106,7 +108,7 @@ def test_the_renderer_shows_the_table_photo_from_above(config: RecordConfig, loc
     x, y, _ = table.position
     scene = config.scene.model_copy(
         update={
-            "table": table.model_copy(update={"photo": encode_photo(image, 98)}),
+            "table": table.model_copy(update={"photo": photo_text(encode_jpeg(image, 98))}),
             "scene_camera": FixedCamera(position=(x, y, 1.5), look_at=(x, y, 0.0), fovy_deg=30, up=(0.0, 1.0, 0.0)),
         }
     )

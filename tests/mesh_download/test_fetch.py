@@ -111,6 +111,7 @@ def test_two_processes_at_once_fetch_once(world, tmp_path):
     assert world.store.find_verified_folder(world.lock.sets["tiny"]) is not None
 
 
+@pytest.mark.long
 @pytest.mark.network
 def test_the_committed_lock_can_really_be_fetched(tmp_path):
     lock, store = load_lock(Locations.from_environment({})), AssetStore(tmp_path / "store")

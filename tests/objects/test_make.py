@@ -85,6 +85,7 @@ def test_a_mug_stands_on_its_foot_and_holds_things() -> None:
     assert abs(item.grasp.axis_deg - 90) < 50
 
 
+@pytest.mark.long
 @needs_extra
 @pytest.mark.slow
 def test_the_first_proposed_place_of_a_faceted_mug_keeps_the_fingers_off_its_handle(
@@ -238,6 +239,7 @@ def test_objects_are_named_after_their_file() -> None:
     assert object_name_of(Path("3d.obj")) == "thing_3d"
 
 
+@pytest.mark.long
 @needs_extra
 @pytest.mark.slow
 def test_a_ball_dropped_into_a_mug_of_any_format_stays_in(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from yamsim_cli.api import API_SESSION_OPENER, record
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.core.expert.skills.program import SKILL_SECONDS, SKILLS, typical_tick_count
+from yamsim_cli.core.expert.skills.program import typical_tick_count
 from yamsim_cli.recording.collect import RecordCallbacks
 from yamsim_cli.recording.recording_output import RecordingOutput, open_destination
 
@@ -39,10 +39,6 @@ RECORDED_FRAMES = {
 
 def config_of(task: str) -> RecordConfig:
     return API_SESSION_OPENER.open("default", parallel=False, task=task, n=3, size=(64, 48), quality="fast").config
-
-
-def test_every_skill_has_a_duration() -> None:
-    assert set(SKILL_SECONDS) == set(SKILLS)
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,7 @@ def measure(opener: SessionOpener, seed: int, photos: int, size: tuple[int, int]
         request = MatchRequest(
             [folder / f"photo_{k}.jpg" for k in range(photos)],
             station.postures[:photos],
-            calibration=calibration,
+            placed=calibration.placed_camera(calibration.camera(None, "--calibrated-camera")),
             masks=folder / "masks",
         )
         start = _cpu()

@@ -9,29 +9,26 @@ from pydantic import Field
 
 from ..core.config.cameras.camera import Row
 from ..core.config.loader import parse_config
+from ..core.config.rig import RigConfig
 from ..core.errors import ConfigError, UsageError, suggest_similar
 from ..core.files.documents.config_base import Config, Quaternion
 from ..core.files.documents.yaml_document import dump_yaml
 from ..core.files.resources import Locations
 from ..core.geometry.camera import CameraModel
-from ..core.geometry.se3 import Array, pose_from_quat
+from ..core.geometry.se3 import Array, invert_pose, pose_from_quat
+from ..photos.overlay.photos import PlacedCamera
 
 Numbers3 = tuple[float, float, float]
 
 
-class CalibratedCamera(Config):
-    """A fixed camera.
+class _CameraOnBody(Config):
+    """A camera on a base or a flange.
 
     Attributes:
         name: of its pictures in the episodes.
-        position, quat: pose of the camera's OpenCV frame (x right, y down, z forward) in the base of
-            `Calibration.reference`, m.
+        position, quat: pose of the camera's OpenCV frame (x right, y down, z forward) on the body, m.
         width, height, K, distortion: as in a camera file, px.
-        focal: whether the focal length was given, or estimated with the pose.
-        position_95_mm, rotation_95_deg, focal_95_percent, delay_95_ms: half widths of 95 % intervals; the first two
-            along and about the axes of the reference base.
-        delay_ms: pictures show the arms as they were this much before their time stamps.
-        frames: pictures that the fit used.
+        position_95_mm, rotation_95_deg: half widths of 95 % intervals along and about the body's axes.
         outline_px: median distance of the rendered outlines to the pictures' edges.
     """
 
@@ -42,14 +39,26 @@ class CalibratedCamera(Config):
     height: int
     K: tuple[Row, Row, Row]
     distortion: tuple[float, ...] = ()
-    focal: str = Field(pattern="^(given|estimated)$")
     position_95_mm: Numbers3
     rotation_95_deg: Numbers3
+    outline_px: float = Field(ge=0)
+
+
+class CalibratedCamera(_CameraOnBody):
+    """A fixed camera, in the base of `Calibration.reference`.
+
+    Attributes:
+        focal: whether the focal length was given, or estimated with the pose.
+        focal_95_percent, delay_95_ms: half widths of 95 % intervals.
+        delay_ms: pictures show the arms as they were this much before their time stamps.
+        frames: pictures that the fit used.
+    """
+
+    focal: str = Field(pattern="^(given|estimated)$")
     focal_95_percent: float = Field(ge=0)
     delay_ms: float
     delay_95_ms: float = Field(ge=0)
     frames: int = Field(ge=0)
-    outline_px: float = Field(ge=0)
 
     @property
     def T_cam_in_base(self) -> Array:
@@ -62,30 +71,16 @@ class CalibratedCamera(Config):
         return CameraModel(self.width, self.height, self.K, self.distortion)
 
 
-class CalibratedWristCamera(Config):
-    """A wrist camera.
+class CalibratedWristCamera(_CameraOnBody):
+    """A wrist camera, on an arm's flange.
 
     Attributes:
         arm: name of the arm that carries it.
-        position, quat: pose of its OpenCV frame on the arm's flange, m.
-        width, height, K, distortion: as in a camera file, px.
-        position_95_mm, rotation_95_deg: half widths of 95 % intervals along and about the flange's axes.
         pictures: that the fit used.
-        outline_px: median distance of the gripper's outline to the pictures' edges.
     """
 
-    name: str
     arm: str
-    position: Numbers3
-    quat: Quaternion
-    width: int
-    height: int
-    K: tuple[Row, Row, Row]
-    distortion: tuple[float, ...] = ()
-    position_95_mm: Numbers3
-    rotation_95_deg: Numbers3
     pictures: int = Field(ge=0)
-    outline_px: float = Field(ge=0)
 
 
 class CalibratedArm(Config):
@@ -133,20 +128,33 @@ class Calibration(Config):
     arms: tuple[CalibratedArm, ...]
     wrist_cameras: tuple[CalibratedWristCamera, ...] = ()
 
-    def camera(self, name: str | None) -> CalibratedCamera:
-        """Return a camera, None being the only one. Raise UsageError if there is none, or several."""
+    def camera(self, name: str | None, option: str) -> CalibratedCamera:
+        """Return a camera, None being the only one. Raise UsageError, which names `option`, if not exactly one fits."""
         names = [one.name for one in self.cameras]
         if name is None and len(names) > 1:
-            raise UsageError(f"the calibration has several cameras ({', '.join(names)}); name one: FILE:CAMERA")
+            raise UsageError(f"the calibration has several cameras ({', '.join(names)}); name one: {option}")
         for one in self.cameras:
             if name in (None, one.name):
                 return one
         raise UsageError(f"the calibration has no camera {name!r}; {suggest_similar(str(name), names)}")
 
-    def for_rig(self, rig: str, option: str) -> Calibration:
-        """Return the calibration itself. Raise UsageError if it is of another rig."""
-        if self.rig != rig:
-            raise UsageError(f"{option}: the calibration is of rig {self.rig!r}, not {rig!r}; give --rig {self.rig}")
+    def placed_camera(self, camera: CalibratedCamera) -> PlacedCamera:
+        """Return the model of a camera with its delay, and the arms' base poses in it with their joint offsets."""
+        T_reference_in_cam = invert_pose(camera.T_cam_in_base)
+        bases = tuple(T_reference_in_cam @ arm.T_base_in_reference for arm in self.arms)
+        return PlacedCamera(camera.camera_model, bases, tuple(arm.offsets for arm in self.arms), camera.delay_ms / 1000)
+
+    def for_rig(self, rig: RigConfig, option: str) -> Calibration:
+        """Return the calibration itself. Raise UsageError if it is of another rig, or of other arms."""
+        if self.rig != rig.name:
+            raise UsageError(
+                f"{option}: the calibration is of rig {self.rig!r}, not {rig.name!r}; give --rig {self.rig}"
+            )
+        arms, own = ([arm.name for arm in arms] for arms in (rig.arms, self.arms))
+        if arms != own:
+            raise UsageError(
+                f"{option}: the calibration has the arms {', '.join(own)}; rig {rig.name!r} has {', '.join(arms)}"
+            )
         return self
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -78,18 +79,17 @@ def make_calibration(
     )
 
 
+def _model_and_pose(model: CameraModel, T: Array, interval: PoseInterval) -> dict[str, Any]:
+    """Return the keys that fixed and wrist cameras share: the lens, the pose (4, 4) and its intervals."""
+    lens = {"width": model.width, "height": model.height, "K": model.K, "distortion": model.distortion}
+    return {"position": _numbers(T[:3, 3]), "quat": _quat(T), **lens, **_widths(interval)}
+
+
 def _calibrated_wrist_camera(rig: RigConfig, model: CameraModel, fit: WristFit) -> CalibratedWristCamera:
-    T = fit.T_cam_in_flange
     return CalibratedWristCamera(
         name=fit.name,
         arm=rig.arms[fit.arm].name,
-        position=_numbers(T[:3, 3]),
-        quat=_quat(T),
-        width=model.width,
-        height=model.height,
-        K=model.K,
-        distortion=model.distortion,
-        **_widths(fit.interval),
+        **_model_and_pose(model, fit.T_cam_in_flange, fit.interval),
         pictures=fit.pictures,
         outline_px=fit.outline_px,
     )
@@ -98,20 +98,14 @@ def _calibrated_wrist_camera(rig: RigConfig, model: CameraModel, fit: WristFit) 
 def _calibrated_camera(
     outcome: CameraOutcome, number: int, fit: StationFit, intervals: StationIntervals
 ) -> CalibratedCamera:
-    T = invert_pose(fit.state.T_base_in_cam[number])
-    model, log_focal = outcome.model, fit.state.log_focal[number]
+    T, model = invert_pose(fit.state.T_base_in_cam[number]), outcome.model
     # A known focal length stays as given: the fit only allows for its error.
-    K = model.K if outcome.is_focal_known else _with_focal_scale(model, math.exp(log_focal))
+    if not outcome.is_focal_known:
+        model = replace(model, K=_with_focal_scale(model, math.exp(fit.state.log_focal[number])))
     return CalibratedCamera(
         name=outcome.name,
-        position=_numbers(T[:3, 3]),
-        quat=_quat(T),
-        width=model.width,
-        height=model.height,
-        K=K,
-        distortion=model.distortion,
+        **_model_and_pose(model, T, intervals.cameras[number]),
         focal="given" if outcome.is_focal_known else "estimated",
-        **_widths(intervals.cameras[number]),
         focal_95_percent=100 * intervals.log_focal[number],
         delay_ms=1000 * fit.state.delays[number],
         delay_95_ms=1000 * intervals.delays[number],

@@ -12,16 +12,25 @@ from numpy.typing import NDArray
 
 from ..core.attempt_data import ArmPosture
 from ..core.config.rig import RigConfig
-from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_vector
-from ..photos.edge_alignment import TUKEY_CUTOFF, EdgeOffsets, MaskOutline, edge_offsets, grain_px, mask_outline
+from ..core.geometry.se3 import Array, invert_pose, rotation_vector
+from ..photos.edge_alignment import (
+    EdgeOffsets,
+    MaskOutline,
+    PoseCorrection,
+    edge_offsets,
+    edge_spread,
+    edge_weights,
+    grain_px,
+    mask_outline,
+    points_in_camera,
+)
 from ..photos.overlay.body_views import BodyPicture, BodyRenderer, JointAxes
 from .chosen_frames import CHANGE_BLUR, ChosenFrame
 from .episode_pictures import EpisodePictures
 
 _REACHES = (16.0, 10.0, 7.0, 5.0, 3.5, 2.5, 2.5, 2.5, 2.5, 2.5)  # grains, search distance for edges by round
 FINAL_REACH = _REACHES[-1]
-_EDGE_SIGMA = 0.12  # grains, least standard deviation of an edge's position
-_INDEPENDENT_POINTS = 60.0  # outline points of a picture that count as independent
+EDGE_SIGMA = 0.12  # grains, least standard deviation of an edge's position
 _STILL_PICTURES = 3.0  # pictures that count as independent for the outlines of bodies that stand still
 _CONVERGED = 2e-5  # m, movement of the arms in a round, below which the fit ends
 _ARM_REACH = 0.4  # m, from the middle of the arms to their ends, about
@@ -269,7 +278,7 @@ class StationProblem:
         poses, focal, delays, margins, biases = [], [], [], [], []
         for number, centre in enumerate(centres):
             own = step[self.layout.camera(number)]
-            poses.append(_moved(state.T_base_in_cam[number], own[:6], centre))
+            poses.append(PoseCorrection(own[:6], centre).apply_to_pose(state.T_base_in_cam[number]))
             focal.append(state.log_focal[number] + float(np.clip(own[FOCAL], -0.1, 0.1)))
             delays.append(state.delays[number] + float(own[DELAY]))
             margins.append(state.margins[number] + float(own[MARGIN]))
@@ -277,7 +286,7 @@ class StationProblem:
         bases = list(state.T_arm_in_base)
         for arm in range(len(bases)):
             if (place := self.layout.base(arm)) is not None:
-                bases[arm] = _moved(bases[arm], step[place], bases[arm][:3, 3])
+                bases[arm] = PoseCorrection(step[place], bases[arm][:3, 3]).apply_to_pose(bases[arm])
         offsets = tuple(rows + step[self.layout.offsets(arm)] for arm, rows in enumerate(state.offsets))
         return StationState(
             tuple(poses), tuple(focal), tuple(delays), tuple(margins), tuple(biases), offsets, tuple(bases)
@@ -349,7 +358,7 @@ class StationProblem:
         velocities: Sequence[Array],
     ) -> Array:
         """Return how far (px) outline points (n, k) move along their normals with each parameter."""
-        points, across = outline.in_camera(K)
+        points, across = points_in_camera(outline.pixels, outline.normals, outline.depth, K)
         J = np.zeros((len(points), self.layout.size))
         place = self.layout.camera(camera)
         own = J[:, place]
@@ -375,11 +384,6 @@ class StationProblem:
         return J
 
 
-def _moved(T: Array, step: Array, centre: Array) -> Array:
-    turn = rotation_from_vector(step[:3])
-    return pose(centre + step[3:6] + turn @ (T[:3, 3] - centre), turn @ T[:3, :3])
-
-
 @dataclass(frozen=True)
 class _OutlinePoints:
     """Outline points with an edge: `pixels` and `normals` (n, 2), `bodies` (n,) and `depth` (n,), m."""
@@ -392,13 +396,6 @@ class _OutlinePoints:
     def bias_jacobian(self) -> Array:
         """Return how far (px) edges move along the normals with their body's biases (n, 3)."""
         return np.column_stack([np.ones(len(self.normals)), self.normals])
-
-    def in_camera(self, K: Array) -> tuple[Array, Array]:
-        """Return points (n, 3) in the camera frame, and px along the normal by m of movement (n, 3)."""
-        ray = (self.pixels - K[:2, 2]) / K[[0, 1], [0, 1]]
-        points = np.column_stack([ray * self.depth[:, None], self.depth])
-        across = self.normals * K[[0, 1], [0, 1]] / self.depth[:, None]
-        return points, np.column_stack([across, -(across * ray).sum(axis=1)])
 
 
 @dataclass(frozen=True)
@@ -457,8 +454,7 @@ def _weighted(rows: Sequence[_FrameRows], size: int) -> Iterator[FrameEquations]
     sigmas = _edge_sigmas(rows)
     for one in rows:
         sigma = np.array([sigmas[one.camera, body] for body in one.bodies.tolist()])
-        weight = np.clip(1 - (one.residuals / (TUKEY_CUTOFF * sigma)) ** 2, 0, None) ** 2
-        weight *= min(1.0, _INDEPENDENT_POINTS / max(len(weight), 1)) / sigma**2
+        weight = edge_weights(one.residuals, sigma, sigma)
         # All pictures show the same edges of what stands still, with the same errors.
         weight[one.still] *= min(1.0, _STILL_PICTURES / sum(other.camera == one.camera for other in rows))
         weighted = one.jacobian * weight[:, None]
@@ -481,10 +477,7 @@ def _edge_sigmas(rows: Sequence[_FrameRows]) -> dict[tuple[int, int], float]:
     for one in rows:
         for body in np.unique(one.bodies).tolist():
             parts.setdefault((one.camera, body), []).append(one.residuals[one.bodies == body])
-    return {
-        key: max(_EDGE_SIGMA * grains[key[0]], 1.4826 * float(np.median(np.abs(np.concatenate(own)))))
-        for key, own in parts.items()
-    }
+    return {key: edge_spread(np.concatenate(own), EDGE_SIGMA * grains[key[0]]) for key, own in parts.items()}
 
 
 def start_state(

@@ -20,15 +20,23 @@ from ..core.config.scene import SceneConfig
 from ..core.errors import DatasetError
 from ..core.files.resources import Locations
 from ..core.geometry.camera import CameraModel
-from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_vector
+from ..core.geometry.se3 import Array, invert_pose, rotation_vector
 from ..core.images.image import Image
 from ..core.scene.cameras import wrist_camera_pose
 from ..core.statistics import Z95
-from ..photos.edge_alignment import TUKEY_CUTOFF, edge_offsets, grain_px, mask_outline
+from ..photos.edge_alignment import (
+    PoseCorrection,
+    edge_offsets,
+    edge_spread,
+    edge_weights,
+    grain_px,
+    mask_outline,
+    points_in_camera,
+)
 from ..photos.overlay.body_views import BodyRenderer
 from .chosen_frames import spread_choice, weighted_poses
 from .episode_pictures import EpisodePictures
-from .station_fit import rendered_edges
+from .station_fit import EDGE_SIGMA, rendered_edges
 from .uncertainty import PoseInterval
 
 _BIN = 0.002  # m of one finger's opening; pictures within count as of the same opening
@@ -41,8 +49,6 @@ _START_REACHES = (10.0, 6.0, 3.5)  # grains, search distance for edges by round,
 _BEST = 4  # starts whose fit goes on
 _REACHES = (3.5, 2.5, 2.5, 2.5, 2.5, 2.5)  # grains, the same for these
 _FAR = 3.0  # grains, distance of an outline point without a nearer edge in the comparison of fits
-_MIN_SIGMA = 0.12  # grains, least standard deviation of an edge's position
-_INDEPENDENT_POINTS = 60.0  # outline points of a mean picture that count as independent
 _PRIOR_TURN, _PRIOR_SHIFT = math.radians(5.0), 0.02  # rad and m, standard deviations of the rig's pose
 _BIASES = (0.5, 0.3, 0.3)  # px, standard deviations of shifts that all edges share: outwards, to the right and down
 _INFLATION = 3.5  # of intervals; without it, the errors of a planted camera exceeded them by up to 3.4 times
@@ -229,7 +235,7 @@ class _WristProblem:
 
     def moved(self, T: Array, step: Array) -> Array:
         """Return the flange's pose after a step that turns about the flange."""
-        return pose(T[:3, 3] + step[3:6], rotation_from_vector(step[:3]) @ T[:3, :3])
+        return PoseCorrection(step[:6], T[:3, 3]).apply_to_pose(T)
 
     def _deviation(self, T: Array, state: Array) -> Array:
         turn = rotation_vector(T[:3, :3] @ self._T_prior[:3, :3].T)
@@ -241,15 +247,13 @@ class _WristProblem:
         residuals = np.concatenate([own for _, own, _ in parts])
         points = sum(count for _, _, count in parts)
         grain = grain_px(self._means[0].grey.shape)
-        spread = 1.4826 * float(np.median(np.abs(residuals))) if len(residuals) else 0.0
-        sigma = max(_MIN_SIGMA * grain, spread)
+        sigma = edge_spread(residuals, EDGE_SIGMA * grain)
         normal = self._prior.copy()
         right_hand_side = -self._prior @ self._deviation(T_flange_in_cam, state)
         for J, own, _ in parts:
-            weight = np.clip(1 - (own / (TUKEY_CUTOFF * sigma)) ** 2, 0, None) ** 2 / sigma**2
-            weight *= min(1.0, _INDEPENDENT_POINTS / max(len(own), 1))
-            normal += (J * weight[:, None]).T @ J
-            right_hand_side += (J * weight[:, None]).T @ own
+            weighted = J * edge_weights(own, sigma, sigma)[:, None]
+            normal += weighted.T @ J
+            right_hand_side += weighted.T @ own
         median = float(np.median(np.abs(residuals))) if len(residuals) else math.inf
         found = len(residuals) / max(points, 1)
         near = float(np.minimum(np.abs(residuals), _FAR * grain).mean()) if len(residuals) else _FAR * grain
@@ -271,13 +275,10 @@ class _WristProblem:
         use = np.isfinite(seen) & (depth > 0)
         K = renderer.intrinsics.K
         K[[0, 1], [0, 1]] *= math.exp(state[6])
-        ray = (line.points[use] - K[:2, 2]) / K[[0, 1], [0, 1]]
-        normals, z = line.normals[use], depth[use]
-        points = np.column_stack([ray * z[:, None], z])
-        across = normals * K[[0, 1], [0, 1]] / z[:, None]
-        across = np.column_stack([across, -(across * ray).sum(axis=1)])
+        normals = line.normals[use]
+        points, across = points_in_camera(line.points[use], normals, depth[use], K)
         focal = ((line.points[use] - K[:2, 2]) * normals).sum(axis=1)
-        J = np.column_stack([np.cross(points - T[:3, 3], across), across, focal, np.ones(len(z)), normals])
+        J = np.column_stack([np.cross(points - T[:3, 3], across), across, focal, np.ones(len(points)), normals])
         return J, seen[use] - J[:, 7:] @ state[7:], len(line.points)
 
     def interval(self, T_flange_in_cam: Array, normal: Array) -> PoseInterval:

@@ -96,7 +96,7 @@ def calibrate(
     yaml_file, report_file, page_file = output_files(out)
     require_unused_paths("--out", [yaml_file, report_file, page_file], overwrite=overwrite)
     earlier = near or check
-    given = load_calibration(earlier, where).for_rig(settings.name, str(earlier)) if earlier else None
+    given = load_calibration(earlier, where).for_rig(settings, str(earlier)) if earlier else None
     found = read_episode_pictures(episodes, settings, where, mapping)
     request = _make_request(camera, found, settings, where, (frames, max_shift / 1000, math.radians(max_turn)))
     request = request.with_near(given)

@@ -189,7 +189,7 @@ def lerobot(
 
     Example: yamsim export lerobot dataset/ lerobot_dataset/
     """
-    source = _open_dataset(dataset, episodes, selection, fps)
+    source = _open_dataset(dataset, episodes, selection, fps, actions)
 
     from yamsim_cli.export.export_source import RealSource
     from yamsim_cli.export.lerobot import export_lerobot, export_real_lerobot
@@ -204,7 +204,6 @@ def lerobot(
                 source, out, advance, pictures=pictures, actions=actions or "recorded", overwrite=overwrite
             )
         else:
-            _require_real("--actions", actions, dataset)
             done = export_lerobot(
                 source, out, advance, pictures=pictures, environment_state=environment_state, overwrite=overwrite
             )
@@ -228,13 +227,10 @@ def maker(
 
     Example: yamsim export maker dataset/ maker_episodes/
     """
-    source = _open_dataset(dataset, episodes, selection, fps)
+    source = _open_dataset(dataset, episodes, selection, fps, actions)
 
-    from yamsim_cli.export.export_source import RealSource
     from yamsim_cli.export.maker import export_maker
 
-    if not isinstance(source, RealSource):
-        _require_real("--actions", actions, dataset)
     with progress_bar("exporting", "episodes") as advance:
         done = export_maker(
             source, out, advance, actions=actions or "recorded", top=top, workers=workers, overwrite=overwrite
@@ -262,13 +258,10 @@ def abc(
 
     Example: yamsim export abc dataset/ abc_release/
     """
-    source = _open_dataset(dataset, episodes, selection)
+    source = _open_dataset(dataset, episodes, selection, actions=actions)
 
     from yamsim_cli.export.abc import export_abc
-    from yamsim_cli.export.export_source import RealSource
 
-    if not isinstance(source, RealSource):
-        _require_real("--actions", actions, dataset)
     with progress_bar("exporting", "episodes") as advance:
         done = export_abc(
             source,
@@ -406,7 +399,11 @@ def _with_renderer(locations: Locations) -> Locations:
 
 
 def _open_dataset(
-    dataset: Path, episodes: str | None, selection: Path | None, fps: float | None = None
+    dataset: Path,
+    episodes: str | None,
+    selection: Path | None,
+    fps: float | None = None,
+    actions: ActionSource | None = None,
 ) -> SimulatedSource | RealSource:
     session_opener.disable_gl()
 
@@ -417,6 +414,7 @@ def _open_dataset(
     if is_imported_dataset(dataset):
         return open_real_source(dataset, episodes, where, fps, chosen)
     _require_real("--fps", fps, dataset)
+    _require_real("--actions", actions, dataset)
     return open_source(dataset, episodes, where, chosen)
 
 

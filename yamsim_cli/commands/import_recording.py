@@ -100,7 +100,7 @@ def _known_cameras(path: Path, rig: RigConfig, locations: Locations) -> dict[str
     from yamsim_cli.calibration.calibration_file import load_calibration
     from yamsim_cli.real.import_recording.importing import KnownCamera
 
-    found = load_calibration(path, locations).for_rig(rig.name, "--calibration")
+    found = load_calibration(path, locations).for_rig(rig, "--calibration")
     return {
         one.name: KnownCamera(np.array(one.K), (one.width, one.height), one.T_cam_in_base, bool(one.distortion))
         for one in found.cameras

@@ -81,9 +81,11 @@ def match(
     model = load_config(CameraConfig, "cameras", camera, where).camera_model if camera else None
     surroundings, studio = (load_config(SceneConfig, "scenes", name, where) for name in (scene, "studio"))
     quality = load_config(RenderConfig, "quality", "balanced", where)
-    found = None
+    placed = None
     if calibration is not None:
-        found = load_calibration(calibration / CALIBRATION_FILE if calibration.is_dir() else calibration, where)
+        file = calibration / CALIBRATION_FILE if calibration.is_dir() else calibration
+        found = load_calibration(file, where).for_rig(settings, "--calibration")
+        placed = found.placed_camera(found.camera(calibrated_camera, "--calibrated-camera"))
     session_opener.choose_gl_backend(where)
 
     from yamsim_cli.core.scene.blueprint import Blueprint
@@ -93,7 +95,7 @@ def match(
     from yamsim_cli.photos.overlay.photos import find_photos
 
     postures = load_postures(joints, settings) if joints else None
-    request = MatchRequest(find_photos(photos), postures, model, found, calibrated_camera, mask_image)
+    request = MatchRequest(find_photos(photos), postures, model, placed, mask_image)
     where = session_opener.with_mesh_folders(where, visual_mesh_sets(Blueprint(settings, surroundings)))
     with progress_bar("matching", "steps") as advance:
         done = match_station(settings, surroundings, studio, quality, request, where, advance)

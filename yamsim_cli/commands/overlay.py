@@ -150,16 +150,11 @@ def overlay(
 def _placed_camera(path: Path, camera: str | None, rig: RigConfig, locations: Locations) -> tuple[str, PlacedCamera]:
     """Return the name and place of a calibration's camera: that of `path`, written FILE:CAMERA, or the only one."""
     from yamsim_cli.calibration.calibration_file import load_calibration
-    from yamsim_cli.core.geometry.se3 import invert_pose
-    from yamsim_cli.photos.overlay.photos import PlacedCamera
 
     file, _, name = str(path).partition(".yaml:")
-    found = load_calibration(Path(f"{file}.yaml") if name else path, locations).for_rig(rig.name, "--calibration")
-    chosen = found.camera(name or camera)
-    T_reference_in_cam = invert_pose(chosen.T_cam_in_base)
-    bases = tuple(T_reference_in_cam @ arm.T_base_in_reference for arm in found.arms)
-    offsets = tuple(arm.offsets for arm in found.arms)
-    return chosen.name, PlacedCamera(chosen.camera_model, bases, offsets, chosen.delay_ms / 1000)
+    found = load_calibration(Path(f"{file}.yaml") if name else path, locations).for_rig(rig, "--calibration")
+    chosen = found.camera(name or camera, "FILE:CAMERA")
+    return chosen.name, found.placed_camera(chosen)
 
 
 def _choose_rig(

@@ -45,6 +45,7 @@ def record(
     camera_effects: flags.CameraEffects = None,
     randomize: flags.Randomize = None,
     randomization: flags.Randomization = None,
+    disturb: flags.Disturb = False,
     boards: flags.Boards = None,
     no_images: Annotated[
         bool,

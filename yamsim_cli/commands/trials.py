@@ -47,6 +47,7 @@ def trials(
     rig: flags.Rig = None,
     revision: flags.Revision = None,
     robot: flags.Robot = None,
+    disturb: flags.Disturb = False,
     config: flags.ConfigOption = "default",
     offline: flags.Offline = False,
     json: flags.Json = False,

@@ -105,12 +105,14 @@ class StepState:
         time: s.
         qpos: (nq,), before the frame's first command.
         encoder_readings: delayed positions (arms, drives), rad and m; None without a sensor delay.
+        intended: drive commands (nu,) of the first tick before disturbances; None if nothing disturbs them.
     """
 
     time: float
     qpos: Array
     actions: ActionSequence
     encoder_readings: Array | None = None
+    intended: Array | None = None
 
 
 class FailureCause(StrEnum):

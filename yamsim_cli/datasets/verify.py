@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from ..core.closable import Closable
 from ..core.config.mesh_provenance import describe_mesh_content, mesh_differences
 from ..core.config.session import Session
 from ..core.dataset.dataset_paths import CONFIG_FILE, EPISODE_FILE, TRUTH_FOLDERS, image_path, lowdim_path
-from ..core.dataset.lowdim import recorded_actions
+from ..core.dataset.lowdim import ACTION, recorded_actions
 from ..core.dataset.reader import StoredEpisode, open_episode
 from ..core.dataset.records import EpisodeRecord, OutcomeRecord, attempt_from_record
 from ..core.episode.attempt_payload import (
@@ -197,7 +197,7 @@ class EpisodeVerifier(Closable):
 
     def _physical(self, frames: RecordedFrames) -> RecordedFrames:
         """Return frames without the values of cameras, if the images show another rig than physics has."""
-        return _without_cameras(frames) if self._other_rig else frames
+        return _without_keys(frames, _CAMERA_KEYS) if self._other_rig else frames
 
     def _simulator_of(self, record: EpisodeRecord) -> Simulator:
         return self._simulators.get(AttemptJob(record.seed, record.attempt))
@@ -250,8 +250,11 @@ def reproduce_frames(
         {"outcome": _outcome_numbers(stored, keys)}, {"outcome": _outcome_numbers(judged, keys)}, tolerance
     )
     made: RecordedFrames = made_frames(simulator, attempt, done.recorded_states)
+    if simulator.config.disturb is not None:
+        # Replayed actions are the disturbed `sim_ctrl`; the expert's own commands cannot be computed from them.
+        frames, made = (_without_keys(each, ("ctrl", ACTION)) for each in (frames, made))
     if "extrinsics" not in frames[0]:
-        made = _without_cameras(made)
+        made = _without_keys(made, _CAMERA_KEYS)
     return _merge_comparisons(compare_frames(frames, made, tolerance), once)
 
 
@@ -262,8 +265,8 @@ def reproduce_episode(episode: StoredEpisode, session: Session) -> EpisodeCompar
         return reproduce_frames(simulator, episode, episode.frames(), tolerance=0.0)
 
 
-def _without_cameras(frames: RecordedFrames) -> list[dict[str, Any]]:
-    return [{key: value for key, value in frame.items() if key not in _CAMERA_KEYS} for frame in frames]
+def _without_keys(frames: RecordedFrames, keys: Collection[str]) -> list[dict[str, Any]]:
+    return [{key: value for key, value in frame.items() if key not in keys} for frame in frames]
 
 
 def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[str, Any]]:

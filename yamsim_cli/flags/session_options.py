@@ -95,6 +95,14 @@ Randomization = Annotated[
         "steps and errors of the gravity compensation.  [default: with --randomize, `default`]",
     ),
 ]
+Disturb = Annotated[
+    bool,
+    typer.Option(
+        "--disturb",
+        help="Disturb the expert by noise on its commands, pushed objects and late grasps, from which it recovers. The "
+        "key `disturb` of the config has the ranges.",
+    ),
+]
 Size = Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pixels.")]
 Boards = Annotated[bool | None, typer.Option("--boards/--no-boards", help="Also show the base boards.")]
 Stage = Annotated[
@@ -129,7 +137,7 @@ session_opener = SessionOpener(
 _SESSION_SETTING_NAMES = (
     "scene", "rig", "revision", "robot", "task", "target", "n", "workers", "seed", "grasp", "arm", "wrist", "camera",
     "boards", "truth", "size", "jpeg_quality", "action", "fps", "quality", "threshold", "randomize", "randomization",
-    "camera_effects",
+    "camera_effects", "disturb",
 )  # fmt: skip
 
 

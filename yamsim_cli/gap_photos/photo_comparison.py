@@ -15,7 +15,7 @@ from ..core.config.rig import RigConfig
 from ..core.config.scene import SceneConfig
 from ..core.dataset.dataset_paths import image_path, lowdim_path
 from ..core.dataset.lowdim import load_frame
-from ..core.errors import DatasetError, ResourceError, UsageError, suggest_similar
+from ..core.errors import ResourceError, UsageError, suggest_similar
 from ..core.files.resources import Locations
 from ..core.geometry.camera import CameraModel
 from ..core.geometry.se3 import invert_pose
@@ -28,7 +28,7 @@ from ..photos.overlay.joint_files import ArmPostures
 from ..photos.overlay.outline_fit import mask_iou, score_outlines
 from ..photos.overlay.photo_arm_poses import find_arms
 from ..photos.overlay.photo_cameras import PhotoCameras
-from ..photos.overlay.photos import Photo, camera_matrix, choose_camera, pinhole_camera
+from ..photos.overlay.photos import Photo, camera_matrix, choose_camera, frame_errors, pinhole_camera
 from ..photos.overlay.rendered_arms import ArmRenderers
 from ..photos.picture_overlay import blend_arms, write_lines
 from ..real.gap.gap_figures import MotionGap
@@ -103,16 +103,12 @@ def postures_at(motion: RecordedMotion, sample: int, rig: RigConfig) -> ArmPostu
 def make_photo(recorded: RecordedPhoto, camera: str, rig: RigConfig, image: Image) -> Photo:
     """Return a photo with the simulated postures, and with camera and pose if the frame holds them."""
     file = Path(recorded.gap.name) / lowdim_path(recorded.frame)
-    try:
+    with frame_errors(file):
         frame = load_frame(file.read_bytes())
         K, T_cam_in_base = (
             None if (frame.get(key) or {}).get(camera) is None else camera_matrix(frame, key, camera)
             for key in ("intrinsics", "extrinsics")
         )
-    except OSError as error:
-        raise DatasetError(f"{file} cannot be read: {error.strerror or error}") from error
-    except (TypeError, ValueError, DatasetError) as error:
-        raise DatasetError(f"{file}: cannot be used: {error}") from error
     height, width = image.shape[:2]
     T_base_in_cam = None
     if T_cam_in_base is not None:

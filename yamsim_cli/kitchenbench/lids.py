@@ -117,20 +117,34 @@ def _screw_container(base: ObjectConfig, lid: ObjectConfig, torque: float, turns
     }
 
 
+def _handle(
+    name: str, position: list[float], azimuth: float, outwards: float, down: float, opening: float
+) -> dict[str, Any]:
+    """Return a handle whose fingers close horizontally.
+
+    Args:
+        azimuth: direction about the vertical, rad.
+        outwards, down: components of the unit vector of approach, in that direction and down.
+    """
+    x, y = math.cos(azimuth), math.sin(azimuth)
+    return {
+        "name": name,
+        "position": position,
+        "approach": [x * outwards, y * outwards, -down],
+        "axis": [-y, x, 0.0],
+        "opening": opening,
+    }
+
+
 def _screw_lid_handles(radius: float, height: float) -> Iterator[dict[str, Any]]:
     """Yield handles over a screw lid, for hands that point down or lean; fingers close horizontally."""
     for tilt in _GRIP_TILTS:
         lean = math.radians(tilt)
         for k in range(_GRIP_AZIMUTHS):
             turn = 2 * math.pi * k / _GRIP_AZIMUTHS
-            x, y = math.cos(turn), math.sin(turn)
-            yield {
-                "name": f"{LID}_{tilt}_{k}",
-                "position": [0.0, 0.0, _GRIP_HEIGHT * height],
-                "approach": [x * math.sin(lean), y * math.sin(lean), -math.cos(lean)],
-                "axis": [-y, x, 0.0],
-                "opening": radius,
-            }
+            yield _handle(
+                f"{LID}_{tilt}_{k}", [0.0, 0.0, _GRIP_HEIGHT * height], turn, math.sin(lean), math.cos(lean), radius
+            )
 
 
 def _round_handles(radius: float, height: float) -> Iterator[dict[str, Any]]:
@@ -140,14 +154,8 @@ def _round_handles(radius: float, height: float) -> Iterator[dict[str, Any]]:
             down = math.radians(tilt)
             for k in range(_STEADY_AZIMUTHS):
                 turn = 2 * math.pi * k / _STEADY_AZIMUTHS
-                x, y = math.cos(turn), math.sin(turn)
-                yield {
-                    "name": f"side_{round(100 * share)}_{tilt}_{k}",
-                    "position": [0.0, 0.0, share * height],
-                    "approach": [-x * math.cos(down), -y * math.cos(down), -math.sin(down)],
-                    "axis": [-y, x, 0.0],
-                    "opening": radius,
-                }
+                name, at = f"side_{round(100 * share)}_{tilt}_{k}", [0.0, 0.0, share * height]
+                yield _handle(name, at, turn, -math.cos(down), math.sin(down), radius)
 
 
 def _snap_container(base: ObjectConfig, lid: ObjectConfig, force: float) -> dict[str, Any]:
@@ -161,16 +169,8 @@ def _snap_container(base: ObjectConfig, lid: ObjectConfig, force: float) -> dict
         grasped = [centre[0] + side * _EAR_OUTWARD, *centre[1:]]
         for tilt in _SNAP_TILTS:
             # The hand leans away from the lid.
-            lean = side * math.sin(math.radians(tilt))
-            handles.append(
-                {
-                    "name": f"ear_{'front' if side > 0 else 'back'}_{tilt}",
-                    "position": grasped,
-                    "approach": [-lean, 0.0, -math.cos(math.radians(tilt))],
-                    "axis": [0, 1, 0],
-                    "opening": _EAR[1] / 2,
-                }
-            )
+            lean, name = math.radians(tilt), f"ear_{'front' if side > 0 else 'back'}_{tilt}"
+            handles.append(_handle(name, grasped, 0.0, -side * math.sin(lean), math.cos(lean), _EAR[1] / 2))
     joint = {
         "type": "slide", "axis": [0, 0, 1], "range": [0, _SNAP_TRAVEL], "damping": _SNAP_DAMPING,
         "armature": _SNAP_ARMATURE,
@@ -183,15 +183,8 @@ def _snap_container(base: ObjectConfig, lid: ObjectConfig, force: float) -> dict
         if tilt == 0 and side < 0:
             continue
         lean = side * math.radians(tilt)
-        grips.append(
-            {
-                "name": f"{LID}_bar_{round(side * tilt)}_{round(1000 * x)}".replace("-", "minus_"),
-                "position": [x, 0.0, middle],
-                "approach": [-math.sin(lean), 0.0, -math.cos(lean)],
-                "axis": [0, 1, 0],
-                "opening": _BAR_WIDTH / 2,
-            }
-        )
+        name = f"{LID}_bar_{round(side * tilt)}_{round(1000 * x)}".replace("-", "minus_")
+        grips.append(_handle(name, [x, 0.0, middle], 0.0, -math.sin(lean), math.cos(lean), _BAR_WIDTH / 2))
     data = base.model_dump(mode="json", exclude_none=True)
     return {
         "collision": [*data["collision"], *ears],

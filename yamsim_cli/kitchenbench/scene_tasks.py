@@ -17,7 +17,7 @@ from kitchenbench.sim.success import CONTACT_TOL_M, CONTAIN_FRACTION
 from ..core.config.goals.world import TABLE
 from ..core.config.program_task import PROGRAM_KIND
 from ..core.errors import UsageError, suggest_similar
-from ..core.expert.skills.program import SKILLS
+from ..core.expert.skills.program import skill_name
 from ..core.expert.skills.skill import Skill
 from .benchmark_scene import STATION_RIG, build_benchmark_scene, open_station_session, table_for_scene
 from .object_poses import feasible_poses
@@ -143,5 +143,4 @@ def _goal_data(blueprint: SceneBlueprint) -> Mapping[str, Any]:
 
 
 def _skill_data(skill: Skill) -> dict[str, Any]:
-    name = next(name for name, known in SKILLS.items() if type(skill) is known)
-    return {name: skill.model_dump(mode="json", exclude_defaults=True)}
+    return {skill_name(skill): skill.model_dump(mode="json", exclude_defaults=True)}

@@ -5,25 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..calibration.calibration_file import Calibration
-from ..core.attempt_data import ArmPosture
 from ..core.config.recording import SCENE_CAMERA
 from ..core.config.rendering import RenderConfig
 from ..core.config.rig import RigConfig
 from ..core.config.scene import FixedCamera, SceneConfig
 from ..core.config.scene import Light as SceneLight
-from ..core.errors import ConfigError, ResourceError, UsageError
+from ..core.errors import ConfigError, ResourceError
 from ..core.files.resources import Locations
 from ..core.geometry.camera import CameraModel
-from ..core.geometry.se3 import Array, invert_pose, pose, rotation_vector
+from ..core.geometry.se3 import invert_pose, pose, rotation_vector
 from ..core.images.image import Image
 from ..core.images.image_files import read_image, read_mask, to_grey
+from ..core.images.jpeg import encode_jpeg
 from ..core.progress import Progress
 from ..core.rendering.view_cameras import resize_area
 from ..core.scene.cameras import fixed_camera
@@ -31,9 +30,9 @@ from ..photos.overlay.joint_files import ArmPostures, home_postures
 from ..photos.overlay.outline_fit import mask_iou, score_outlines
 from ..photos.overlay.photo_arm_poses import RigInPhoto, find_arms
 from ..photos.overlay.photo_cameras import PhotoCameras
-from ..photos.overlay.photos import Photo, find_mask
+from ..photos.overlay.photos import Photo, PlacedCamera, find_mask
 from ..photos.overlay.rendered_arms import ArmRenderers
-from ..scene_photos.embedded_photos import Plate, encode_photo
+from ..scene_photos.embedded_photos import Plate, photo_text
 from .light_fit import HEADLIGHT, LightFit, StationPhoto, fit_light
 from .pinhole_view import PinholeView
 from .plate import StationPlate, make_plate, table_photo
@@ -52,16 +51,15 @@ class MatchRequest:
     Attributes:
         photos: files.
         postures: of the arms, one for all photos or one each; None for home.
-        camera: calibration of the photos, whose pose the boards give; None with `calibration`.
-        calibration: cameras and arms of the station; its camera `calibrated_camera` took the photos.
+        camera: calibration of the photos, whose pose the boards give; None with `placed`.
+        placed: the camera and the arms where a calibration of the station places them.
         masks: a mask of the arms, or a folder with one for each photo.
     """
 
     photos: Sequence[Path]
     postures: Sequence[ArmPostures] | None = None
     camera: CameraModel | None = None
-    calibration: Calibration | None = None
-    calibrated_camera: str | None = None
+    placed: PlacedCamera | None = None
     masks: Path | None = None
 
 
@@ -127,7 +125,6 @@ def match_station(
 
     Raises:
         ConfigError: the camera does not fit the photos, or the scene has no table.
-        UsageError: the calibration has no such camera, or several.
         ResourceError: a photo or a mask cannot be read, or the arms cannot be located.
     """
     widened = scene.widened_for_arm_distance(rig.arm_span)
@@ -143,12 +140,13 @@ def match_station(
         view, notes = common_view(rig, located)
         flat = [view.undistort(image) for image in images]
         size = view.intrinsics.width, view.intrinsics.height
-        parts = (quality, view.scene_camera)
+        parts = (rig, widened, quality, view.scene_camera)
+        bases = [view.T_cam_in_world @ T for T in request.placed.T_bases_in_cam] if request.placed else None
         small_size = min(_FIT_WIDTH, size[0]), max(1, round(min(_FIT_WIDTH, size[0]) * size[1] / size[0]))
-        small = stack.enter_context(StationRenderer(rig, widened, *parts, small_size, locations))
+        small = stack.enter_context(StationRenderer(*parts, small_size, locations, bases))
         light = fit_light(small, _fit_photos(flat, postures, small_size), lambda *_: None)
         steps.done()
-        station = stack.enter_context(StationRenderer(rig, widened, *parts, size, locations))
+        station = stack.enter_context(StationRenderer(*parts, size, locations, bases))
         masks, before = [], []
         for posture in postures:
             station.set_postures(posture)
@@ -203,36 +201,8 @@ def _postures(rig: RigConfig, request: MatchRequest) -> list[ArmPostures]:
         raise ConfigError(
             f"--joints has {len(given)} rows for {len(request.photos)} photos; give one row, or one for each"
         )
-    offsets = {arm.name: arm.offsets for arm in request.calibration.arms} if request.calibration else {}
-    true = [
-        tuple(
-            ArmPosture(posture.joints - offsets[arm.name], posture.opening) if arm.name in offsets else posture
-            for arm, posture in zip(rig.arms, postures, strict=True)
-        )
-        for postures in given
-    ]
+    true = [request.placed.true_postures(one) for one in given] if request.placed else list(given)
     return true * len(request.photos) if len(true) == 1 else true
-
-
-def _calibrated_camera(rig: RigConfig, request: MatchRequest) -> tuple[CameraModel, Array] | None:
-    """Return the calibration's camera, and the pose of the first arm's base in it; None without a calibration."""
-    found = request.calibration
-    if found is None:
-        return None
-    names = [camera.name for camera in found.cameras]
-    wanted = request.calibrated_camera or (names[0] if len(names) == 1 else None)
-    if wanted not in names:
-        given = "has several cameras" if wanted is None else f"has no camera {wanted!r}"
-        raise UsageError(f"--calibration {given}; give --calibrated-camera, one of {', '.join(names) or 'none'}")
-    arms = [arm.name for arm in rig.arms]
-    if found.reference not in arms:
-        raise UsageError(
-            f"--calibration is of rig {found.rig!r}, with an arm {found.reference!r}; rig {rig.name!r} has "
-            f"{', '.join(arms)}: give --rig {found.rig}"
-        )
-    camera = found.cameras[names.index(wanted)]
-    T_cam_in_world = rig.T_base_in_world(arms.index(found.reference)) @ camera.T_cam_in_base
-    return camera.camera_model, invert_pose(T_cam_in_world) @ rig.T_base_in_world(0)
 
 
 def locate_arms(
@@ -243,22 +213,12 @@ def locate_arms(
     outlines: ArmRenderers,
 ) -> list[RigInPhoto]:
     """Return the arms' poses in each photo, with the distances of their outlines to edges."""
-    known = _calibrated_camera(rig, request)
-    cameras = PhotoCameras(rig, request.photos, known[0] if known else request.camera)
+    cameras = PhotoCameras(rig, request.photos, request.placed.camera if request.placed else request.camera)
     found: list[RigInPhoto] = []
     for path, image, posture in zip(request.photos, images, postures, strict=True):
-        photo = Photo(path, postures=posture, T_base_in_cam=known[1] if known else None)
+        photo = Photo(path, postures=posture, placed=request.placed)
         grey = to_grey(image)
         arms = find_arms(rig, photo, grey, cameras.camera_of(photo, image), True, found[-1] if found else None)
-        if known:  # the calibration is more accurate than a board
-            poses = invert_pose(rig.T_base_in_world(0))
-            arms = replace(
-                arms,
-                arms=tuple(
-                    replace(arm, status="recorded", T_base_in_cam=known[1] @ poses @ rig.T_base_in_world(k))
-                    for k, arm in enumerate(arms.arms)
-                ),
-            )
         if not arms.base_poses:
             why = next(
                 (arm.detection.failure_explanation for arm in arms.arms if arm.detection), "the rig has no boards"
@@ -326,9 +286,9 @@ def _matched_scene(
         changes |= {"ambient": ambient, "lights": (key,)}
     if surface is not None:
         colour = (*(round(float(part), 3) for part in surface.mean(axis=(0, 1)) / 255), 1.0)
-        photo = encode_photo(surface, _JPEG_QUALITY)
+        photo = photo_text(encode_jpeg(surface, _JPEG_QUALITY))
         changes["table"] = scene.table.model_copy(update={"photo": photo, "rgba": colour, "reflectance": 0.0})
-    changes["plates"] = (Plate(camera=SCENE_CAMERA, photo=encode_photo(plate, _JPEG_QUALITY)),)
+    changes["plates"] = (Plate(camera=SCENE_CAMERA, photo=photo_text(encode_jpeg(plate, _JPEG_QUALITY))),)
     return scene.model_copy(update=changes)
 
 

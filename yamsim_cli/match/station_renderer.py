@@ -16,12 +16,13 @@ from ..core.config.rendering import RenderConfig
 from ..core.config.rig import RigConfig
 from ..core.config.scene import SceneConfig
 from ..core.files.resources import Locations
+from ..core.geometry.se3 import Array
 from ..core.images.image import Image
-from ..core.scene.arm_model import finger_addresses
 from ..core.scene.blueprint import Blueprint, PictureSettings
 from ..core.scene.cameras import SceneCamera
 from ..core.scene.compilation import compile_spec
 from ..core.scene.compose import compose_scene
+from ..photos.overlay.rendered_arms import place_arm
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ class StationRenderer(Closable):
     Args:
         scene: widened for the distance of the rig's arms.
         camera: the view; a plate of the scene has the same name.
+        T_bases: pose (4, 4) of each arm's base in `world`; default: as in the rig.
 
     Raises ResourceError if no OpenGL context is available.
     """
@@ -57,7 +59,9 @@ class StationRenderer(Closable):
         camera: SceneCamera,
         size: tuple[int, int],
         locations: Locations,
+        T_bases: Sequence[Array] | None = None,
     ) -> None:
+        self._T_bases: Sequence[Array | None] = T_bases or [None] * len(rig.arms)
         self._rig, self._camera, self._table = rig, camera.name, scene.table
         pictures = PictureSettings(quality, size)
         blueprint = Blueprint(rig, scene, boards=False, cameras=(camera,), pictures=pictures)
@@ -71,11 +75,8 @@ class StationRenderer(Closable):
     def set_postures(self, postures: Sequence[ArmPosture]) -> None:
         """Set all arms' joints."""
         model, data = self._model, self._data
-        for arm, posture in zip(self._rig.arms, postures, strict=True):
-            for name, angle in zip(arm.robot.joint_names, posture.joints, strict=True):
-                data.qpos[model.joint(arm.prefix + name).qposadr[0]] = angle
-            addresses, signs = finger_addresses(model, arm.robot, arm.prefix)
-            data.qpos[addresses] = posture.opening * signs
+        for arm, posture, T_base in zip(self._rig.arms, postures, self._T_bases, strict=True):
+            place_arm(model, data, arm, posture, T_base)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_camlight(model, data)

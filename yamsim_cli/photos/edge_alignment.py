@@ -21,7 +21,8 @@ _SAMPLES_PER_GRAIN = 2  # sample points per grain of the search line
 _POINT_SPACING = 3  # grains between outline points
 _MIN_SLOPE = 4.0  # grey levels per grain, gradient of an edge
 _MIN_SLOPE_SHARE = 0.4  # share of the search line's largest gradient, for an edge
-TUKEY_CUTOFF = 4.685  # standard deviations, beyond which Tukey's biweight is 0 (95 % efficiency)
+_SIGMA_PER_MAD = 1.4826  # standard deviation over median absolute deviation, normal noise
+_TUKEY_CUTOFF = 4.685  # standard deviations, beyond which Tukey's biweight is 0 (95 % efficiency)
 _INDEPENDENT_POINTS = 60.0  # maximum number of outline points that count as independent
 _IGNORED_BORDER = 3  # grains from the picture's border; outlines there are ignored
 _REFINEMENT_ROUNDS = 6  # rounds of a pose refinement
@@ -148,11 +149,6 @@ class PoseCorrection:
         moved = self.centre + self.step[3:] + turn @ (T_in_cam[:3, 3] - self.centre)
         return pose(moved, turn @ T_in_cam[:3, :3])
 
-    @property
-    def approximate_displacement(self) -> float:
-        """Approximate displacement of points 0.3 m from `centre`, m."""
-        return float(np.linalg.norm(self.step[3:]) + 0.3 * np.linalg.norm(self.step[:3]))
-
 
 @dataclass(frozen=True)
 class PoseCorrectionEquations:
@@ -160,6 +156,39 @@ class PoseCorrectionEquations:
 
     normal: Array
     right_hand_side: Array
+
+
+def points_in_camera(pixels: Array, normals: Array, depth: Array, K: Array) -> tuple[Array, Array]:
+    """Return outline points (n, 3) in the camera frame, m, and px along the normal by m of movement (n, 3).
+
+    Args:
+        pixels, normals: of the outline, (n, 2).
+        depth: z (n,) of the points in the camera frame, m.
+        K: camera matrix (3, 3).
+    """
+    focal = K[[0, 1], [0, 1]]
+    ray = (pixels - K[:2, 2]) / focal
+    across = normals * focal / depth[:, None]
+    return np.column_stack([ray * depth[:, None], depth]), np.column_stack([across, -(across * ray).sum(axis=1)])
+
+
+def edge_spread(offsets: Array, least: float) -> float:
+    """Return the standard deviation (px) of edges' offsets (n,), estimated by their median; at least `least`."""
+    return max(least, _SIGMA_PER_MAD * float(np.median(np.abs(offsets)))) if len(offsets) else least
+
+
+def edge_weights(offsets: Array, spread: float | Array, sigma: float | Array) -> Array:
+    """Return weights (n,) of the edges of one picture: Tukey's biweight over the variance `sigma` squared.
+
+    Args:
+        offsets: (n,), px.
+        spread: standard deviation from which outliers are judged, px; one, or one for each edge.
+        sigma: standard deviation of an edge's position, px; likewise.
+    """
+    weights = np.clip(1 - (offsets / (_TUKEY_CUTOFF * spread)) ** 2, 0, None) ** 2
+    # Neighbouring points share an edge, so they are not independent.
+    result: Array = weights * (min(1.0, _INDEPENDENT_POINTS / max(len(offsets), 1)) / sigma**2)
+    return result
 
 
 def edge_equations(
@@ -176,17 +205,9 @@ def edge_equations(
     """
     use = np.isfinite(offsets) & (depth > 0)
     points, normals, off = line.points[use], line.normals[use], offsets[use]
-    z = depth[use]
-    ray = np.column_stack([(points[:, 0] - K[0, 2]) / K[0, 0], (points[:, 1] - K[1, 2]) / K[1, 1]])
-    at = np.column_stack([ray * z[:, None], z])
-    across = normals * np.array([K[0, 0], K[1, 1]]) / z[:, None]
-    by_shift = np.column_stack([across, -(across * ray).sum(axis=1)])
+    at, by_shift = points_in_camera(points, normals, depth[use], K)
     jacobian = np.column_stack([np.cross(at - centre, by_shift), by_shift])
-    scale = max(edge_sigma, 1.4826 * float(np.median(np.abs(off)))) if len(off) else edge_sigma
-    weight = np.clip(1 - (off / (TUKEY_CUTOFF * scale)) ** 2, 0, None) ** 2
-    # Neighbouring points share an edge, so they are not independent.
-    weight *= min(1.0, _INDEPENDENT_POINTS / max(len(off), 1)) / edge_sigma**2
-    weighted = jacobian * weight[:, None]
+    weighted = jacobian * edge_weights(off, edge_spread(off, edge_sigma), edge_sigma)[:, None]
     return PoseCorrectionEquations(weighted.T @ jacobian, weighted.T @ off)
 
 

@@ -130,7 +130,7 @@ class EpisodeDrawer(Closable):
 
 def with_physics_of(stored: RandomizationSample, look: RandomizationSample) -> RandomizationSample:
     """Return the samples of `look`, with those of `stored` that affect physics."""
-    return replace(look, **{part: getattr(stored, part) for part in PHYSICS_PARTS})
+    return replace(look, **{part: getattr(stored, part) for part in (*PHYSICS_PARTS, "pushes")})
 
 
 def _with_cameras(simulator: Simulator, frame: dict[str, Any]) -> dict[str, Any]:

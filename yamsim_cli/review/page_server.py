@@ -111,7 +111,7 @@ class ReviewServer(ThreadingHTTPServer):
         ResourceError: the server cannot listen on the port.
     """
 
-    # `server_close` waits for the threads: one that ends inside OpenCV, with the interpreter, aborts the process.
+    # `server_close` joins threads that are no daemons. The process aborts if it exits while a thread runs OpenCV.
     daemon_threads = False
     allow_reuse_address = True
 

@@ -8,7 +8,7 @@ from typing import Any
 from ..core.config.loader import load_config
 from ..core.config.program_task import ProgramTask
 from ..core.errors import UsageError
-from ..core.expert.skills.program import SKILLS, parse_program
+from ..core.expert.skills.program import parse_program, skill_name
 from ..core.expert.skills.program_checks import check_task_config
 from ..core.files.documents.config_base import Config
 from ..core.files.resources import Locations
@@ -62,7 +62,6 @@ def task_entries(locations: Locations) -> list[dict[str, Any]]:
 def task_entry(name: str, locations: Locations) -> dict[str, Any]:
     """Return the description of a task as JSON data: name, kind, rig, prompt, things, skills, goal, starts etc."""
     task = load_config(ProgramTask, "tasks", name, locations, check=check_task_config)
-    names = {kind: name for name, kind in SKILLS.items()}
     program = parse_program(task.expert, task.typical_roles)
     return {
         "name": task.name,
@@ -70,7 +69,7 @@ def task_entry(name: str, locations: Locations) -> dict[str, Any]:
         "rig": task.rig,
         "prompt": task.language_prompt,
         "things": {role: [item.name for item in one.of] for role, one in task.things.items()},
-        "skills": list(dict.fromkeys(names[type(skill)] for skill in program)),
+        "skills": list(dict.fromkeys(skill_name(skill) for skill in program)),
         "goal": list(dict.fromkeys(str(path[-1]) for path, _ in task.goal.predicates())),
         "counts": {role: one.count for role, one in task.things.items()},
         "phrasings": _as_data(task.phrasings),

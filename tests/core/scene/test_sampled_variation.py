@@ -63,7 +63,7 @@ def test_the_same_attempt_draws_the_same(randomized: RecordConfig) -> None:
     for other in (AttemptJob(3, 6), AttemptJob(4, 5)):
         one, two = asdict(sampled(randomized)), asdict(sampled(randomized, other))
         same = {key for key, value in one.items() if value == two[key]}
-        assert same == {"distractors", "walls"}
+        assert same == {"distractors", "pushes", "walls"}  # pushes are sampled with the disturbances
 
 
 @pytest.mark.parametrize("part", OWN)
@@ -148,6 +148,6 @@ def test_the_ledger_keeps_draws_and_states_what_was_not_drawn(randomized: Record
     )
     text = to_json(record)
     keys = {field.name for field in fields(RandomizationSample)}
-    assert set(json.loads(text)["randomized"]) == keys - {"walls"}  # only written by randomizations with walls
+    assert set(json.loads(text)["randomized"]) == keys - {"walls", "pushes"}  # written only where they vary
     assert bool(json.loads(text)["randomized"]["arm_dynamics"]) == (not not_drawn)
     assert from_json(AttemptRecord, text, "ledger").randomized == drawn

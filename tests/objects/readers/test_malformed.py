@@ -19,10 +19,11 @@ from yamsim_cli.objects.readers.reader_process import read_file
 
 pytestmark = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
 
-# s, longest time for any of them
-LIMIT = 20
+# s, longest time for any of them. The reader gives up earlier by itself; a busy machine may add to that.
+LIMIT = 120
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_no_malformed_file_hangs_crashes_or_shows_a_traceback(tmp_path: Path) -> None:
     seen = 0

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from ...camera_effects.config import CameraEffects
+from ...disturbances.config import DisturbanceConfig
 from ..files.documents.config_base import Config, ConfigReference, ConflictError, Name
 from ..files.documents.units import is_recorded_config
 from ..robots.joint_limits import describe_limit_violation
@@ -71,6 +72,7 @@ class RecordConfig(Config):
         randomization: domain randomization of the episodes, in addition to the starts of objects.
         truth: whether to record ground truth for every image, see `core.dataset.ground_truth_files`.
         camera_effects: lens distortion, noise and other effects of cameras; no physics depends on them.
+        disturb: disturbances of the expert in `record` and `trials`; None for none.
         look: number of the random streams of all that `randomization` varies except physics.
         drawn: set by `yamsim draw`; None in recordings.
         meshes: asset set -> description of the shown meshes, see `core.config.mesh_provenance`. The recorder replaces
@@ -96,6 +98,7 @@ class RecordConfig(Config):
     randomization: Annotated[RandomizationConfig, ConfigReference("randomization")] = RandomizationConfig()
     meshes: Mapping[str, Annotated[str, Field(pattern=PROVENANCE_PATTERN)]] | None = None
     camera_effects: tuple[CameraEffectsEntry, ...] = ()
+    disturb: DisturbanceConfig | None = None
     look: int = Field(default=0, ge=0, le=9999)
     drawn: DrawnFrom | None = None
 

@@ -8,6 +8,8 @@ from typing import Annotated
 
 from pydantic import Field
 
+from ...disturbances.config import PushSample
+
 
 @dataclass(frozen=True)
 class LightSample:
@@ -80,3 +82,4 @@ class RandomizationSample:
     arm_dynamics: tuple[ArmDynamicsSample, ...] = ()
     # Left out of records without walls, whose bytes stay the same.
     walls: Annotated[SurfaceSample | None, Field(exclude_if=lambda walls: walls is None)] = None
+    pushes: Annotated[tuple[PushSample, ...], Field(exclude_if=lambda pushes: not pushes)] = ()  # see `--disturb`

@@ -104,7 +104,7 @@ def _frame_record(simulator: Simulator, attempt: Attempt, state: StepState, tick
         object_joints=_object_joints(simulator),
         cloth_points=replica.cloth_points(),
         ee_pose=replica.T_grasp_in_base(),
-        ctrl=acting.ctrl[0][scene.recorded_drive_ctrl],
+        ctrl=(acting.ctrl[0] if state.intended is None else state.intended)[scene.recorded_drive_ctrl],
         action_joints=acting.joints[0],
         magnet=acting.magnet[0],
         language_task=task.language_task or task.name,

@@ -1,16 +1,18 @@
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..attempt_data import ActionSequence, Attempt, FailureCause, Outcome, Recovery, StepState
+from ...disturbed_motion import DisturbedExecution, run_with_pushes
+from ..attempt_data import ActionSequence, Attempt, FailureCause, JointPath, Outcome, Recovery, StepState
 from ..expert.planning.arm_solvers import start_postures
 from ..expert.skills.common_motions import park_free_hands
 from ..expert.skills.planning_context import MotionSegment, PlanningContext, SkillFailedError
-from ..expert.skills.program import RecoveryLog, build_program, run_program
+from ..expert.skills.program import RecoveryLog, build_program, run_program, skill_object
 from ..scene.compiled import CompiledScene
 from ..scene.random_streams import Stream, random_generator
 from .commands import path_actions
@@ -34,17 +36,23 @@ class SimulatedAttempt:
         return self.result.states if self.result else ()
 
 
-def simulate_expert(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -> SimulatedAttempt:
+def simulate_expert(
+    simulator: Simulator, attempt: Attempt, *, grips: bool = True, disturbed: bool = True
+) -> SimulatedAttempt:
     """Simulate an attempt by the task's expert, without rendering. If it succeeds, place its distractors.
 
-    Without `grips`, fingers do not close, and every task that needs a grasp fails.
+    Without `grips`, fingers do not close, and every task that needs a grasp fails. `disturbed`: as the config says.
     """
     if attempt.start is None:
         return SimulatedAttempt(
             attempt, Outcome(False, FailureCause.NO_LAYOUT, describe_missing_start(simulator, attempt)), None
         )
     task = simulator.config.task
+    program, to_actions = build_program(task, simulator.roles), functools.partial(_path_actions, simulator.scene, grips)
+    picked = [skill_object(skill, simulator.roles) for skill in program if skill.LEAVES_OBJECT_HELD]
     episode = open_episode(simulator, attempt, EXPERT_RULES)
+    execution = DisturbedExecution(simulator.config, attempt.job, episode, to_actions, picked if disturbed else None)
+    attempt = replace(attempt, variation=replace(attempt.variation, pushes=execution.pushes))
     rng = random_generator(attempt.job, Stream.PLANNING)
     context = simulator.expert_planner.planning_context(episode.world, list(start_postures(simulator.config)), rng)
     log, recoveries = RecoveryLog(), list[Recovery]()
@@ -56,37 +64,36 @@ def simulate_expert(simulator: Simulator, attempt: Attempt, *, grips: bool = Tru
     failure: tuple[FailureCause, str] | None = None
     # After the program, the arms wait until the hold time has passed.
     max_ticks = task.max_ticks - task.timing.settle_ticks - task.hold_ticks
+    motions = execution.with_replanning(run_program(program, context, simulator.roles, log), SkillFailedError)
     try:
-        for segment in _expert_motions(simulator, episode, context, log):
+        for segment in _all_motions(motions, episode, context):
             append_recoveries()
             if episode.ticks + segment.tick_count > max_ticks:
                 failure = FailureCause.TIME, f"the program was not done after {episode.simulated_seconds:.0f} s"
                 break
-            episode.run_commands(_with_open_grippers(episode.scene, path_actions(episode.scene, segment.paths), grips))
+            execution.run(segment.paths)
             if episode.end is not None:
                 break
     except SkillFailedError as error:
         failure = error.cause, str(error)
     append_recoveries()
-    last = path_actions(episode.scene, context.wait_segment(max(1, task.timing.settle_ticks + task.hold_ticks)).paths)
-    episode.run_commands(_with_open_grippers(episode.scene, last, grips), until_success=True)
+    last = context.wait_segment(max(1, task.timing.settle_ticks + task.hold_ticks))
+    execution.run(last.paths, until_success=True)
     context.clear_cache()
     played = episode.end_episode()
+    played = replace(played, states=execution.with_intended_commands(played.states))
     outcome = replace(build_outcome(simulator, played, failure), recoveries=tuple(recoveries))
     simulated = SimulatedAttempt(attempt, outcome, played)
-    return (
-        replace(simulated, attempt=with_distractors(simulator, attempt, simulated.recorded_states))
-        if outcome.success
-        else simulated
-    )
+    if not outcome.success:
+        return simulated
+    return replace(simulated, attempt=with_distractors(simulator, attempt, simulated.recorded_states))
 
 
-def _expert_motions(
-    simulator: Simulator, episode: Episode, context: PlanningContext, log: RecoveryLog
+def _all_motions(
+    program: Iterator[MotionSegment], episode: Episode, context: PlanningContext
 ) -> Iterator[MotionSegment]:
     """Yield the program's motions, then move hands to their ready postures unless the goal holds."""
-    task, roles = simulator.config.task, simulator.roles
-    yield from run_program(build_program(task, roles), context, roles, log)
+    yield from program
     if not episode.has_succeeded:
         yield from park_free_hands(context)
 
@@ -100,7 +107,7 @@ def simulate_actions(
 ) -> SimulatedAttempt:
     """Simulate an attempt with given actions. The rules of their recording give the same verdict."""
     episode = open_episode(simulator, attempt, rules, on_step)
-    episode.run_commands(actions)
+    run_with_pushes(episode, actions, attempt.variation.pushes)
     played = episode.end_episode()
     return SimulatedAttempt(attempt, build_outcome(simulator, played), played)
 
@@ -133,7 +140,8 @@ def with_reserved_distractors(simulator: Simulator, attempt: Attempt) -> Attempt
 
     The demonstration is simulated only if the config has distractors. If it fails, none are placed.
     """
-    return attempt if simulator.distractor_placer is None else simulate_expert(simulator, attempt).attempt
+    none = simulator.distractor_placer is None
+    return attempt if none else simulate_expert(simulator, attempt, disturbed=False).attempt
 
 
 def _is_off_target(simulator: Simulator, result: EpisodeResult) -> bool:
@@ -158,7 +166,8 @@ def _final_distances_and_speed(
     return math.hypot(apart[0], apart[1]), float(apart[2]), result.speeds[thing]
 
 
-def _with_open_grippers(scene: CompiledScene, actions: ActionSequence, grips: bool) -> ActionSequence:
+def _path_actions(scene: CompiledScene, grips: bool, paths: Sequence[JointPath]) -> ActionSequence:
+    actions = path_actions(scene, paths)
     if grips:
         return actions
     ctrl = actions.ctrl.copy()

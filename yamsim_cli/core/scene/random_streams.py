@@ -35,6 +35,7 @@ class Stream(IntEnum):
     PLACES = 32
     PLANNING = 33
     CRUMPLES = 34
+    DISTURBANCES = 35
 
 
 def random_generator(job: AttemptJob, stream: Stream, *of: int) -> np.random.Generator:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -158,18 +159,27 @@ def episode_photos(
     return [_frame_photo(episode, camera, path, rig) for path in files]
 
 
+@contextmanager
+def frame_errors(lowdim: Path, missing_key_remedy: str = "") -> Iterator[None]:
+    """Raise DatasetError with the file `lowdim` for what is wrong with a recorded frame."""
+    try:
+        yield
+    except OSError as error:
+        raise DatasetError(f"{lowdim}: cannot be read: {error.strerror or error}") from error
+    except KeyError as error:
+        raise DatasetError(f"{lowdim}: has no {error}{missing_key_remedy}") from error
+    except (TypeError, ValueError, DatasetError) as error:
+        raise DatasetError(f"{lowdim}: cannot be used: {error}") from error
+
+
 def _placed_photos(episode: Path, files: Sequence[Path], rig: RigConfig, placed: PlacedCamera) -> list[Photo]:
     rows, times = [], []
     for path in files:
         lowdim = episode / "lowdim" / f"{path.stem}.pkl"
-        try:
+        with frame_errors(lowdim):
             frame = load_frame(lowdim.read_bytes())
             rows.append(np.asarray(frame["joints"], dtype=np.float64))
             times.append(float(frame["timestamp"]))
-        except OSError as error:
-            raise DatasetError(f"{lowdim}: cannot be read: {error.strerror or error}") from error
-        except (KeyError, TypeError, ValueError, DatasetError) as error:
-            raise DatasetError(f"{lowdim}: cannot be used: {error}") from error
     if len({row.shape for row in rows}) > 1:
         raise DatasetError(f"{episode}: frames have different numbers of joints; record it again")
     seen = np.array(times) - placed.delay
@@ -183,20 +193,12 @@ def _placed_photos(episode: Path, files: Sequence[Path], rig: RigConfig, placed:
 
 def _frame_photo(episode: Path, camera: str, path: Path, rig: RigConfig) -> Photo:
     lowdim = episode / "lowdim" / f"{path.stem}.pkl"
-    try:
+    with frame_errors(lowdim, f" of camera {camera}; to use the images alone, give --img {episode}/rgb/{camera}"):
         frame = load_frame(lowdim.read_bytes())
         K = camera_matrix(frame, "intrinsics", camera)
         T_cam_in_base = camera_matrix(frame, "extrinsics", camera)
         time = float(frame["timestamp"]) if "timestamp" in frame else None
         frame_postures = recorded_postures(np.asarray(frame["joints"], dtype=np.float64), rig, lowdim)
-    except OSError as error:
-        raise DatasetError(f"{lowdim}: cannot be read: {error.strerror or error}") from error
-    except KeyError as error:
-        raise DatasetError(
-            f"{lowdim}: has no {error} of camera {camera}; to use the images alone, give --img {episode}/rgb/{camera}"
-        ) from error
-    except (TypeError, ValueError, DatasetError) as error:
-        raise DatasetError(f"{lowdim}: cannot be used: {error}") from error
     if len(rig.arms) > 1:
         # Recorded extrinsics are relative to the left arm's base, `Photo` to the first arm's.
         T_left_in_world = rig.T_base_in_world(rig.recording_order[0])

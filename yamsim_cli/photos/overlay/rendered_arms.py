@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yamsim_cli.camera_effects.lens_distortion import LensWarp
+from yamsim_cli.camera_rendering import HIDDEN_GROUP
 from yamsim_cli.core.attempt_data import ArmPosture
 from yamsim_cli.core.closable import Closable
 from yamsim_cli.core.config.rendering import RenderConfig
-from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.config.rig import ArmConfig, RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.files.resources import Locations
@@ -28,7 +29,6 @@ from yamsim_cli.core.scene.compilation import compile_spec
 from yamsim_cli.core.scene.compose import compose_scene
 
 _CAMERA = "photo"
-_HIDDEN_GROUP = 5
 _MAX_SUPERSAMPLED_SIDE = 1400  # px, up to which double resolution smooths edges in any OpenGL
 _MAX_SIDE = 8192  # px, longer side of a rendered picture
 
@@ -54,6 +54,22 @@ class ArmsInPinholePicture:
     labels: NDArray[np.uint8]
     depth: NDArray[np.float32]
     intrinsics: Intrinsics
+
+
+def place_arm(
+    model: mujoco.MjModel, data: mujoco.MjData, arm: ArmConfig, posture: ArmPosture, T_base: Array | None
+) -> None:
+    """Set an arm's joints and fingers, and its base's pose (4, 4) in its parent's frame unless that is None.
+
+    The caller updates the kinematics.
+    """
+    if T_base is not None:
+        root = model.body(arm.prefix + arm.robot.base).id
+        model.body_pos[root], model.body_quat[root] = T_base[:3, 3], quat_from_rotation(T_base[:3, :3])
+    for name, angle in zip(arm.robot.joint_names, posture.joints, strict=True):
+        data.qpos[model.joint(arm.prefix + name).qposadr[0]] = angle
+    addresses, signs = finger_addresses(model, arm.robot, arm.prefix)
+    data.qpos[addresses] = posture.opening * signs
 
 
 class ArmRenderer(Closable):
@@ -109,16 +125,10 @@ class ArmRenderer(Closable):
     def set_poses(self, T_base_in_cam: Mapping[int, Array], postures: Sequence[ArmPosture]) -> None:
         """Set base poses by arm index, (4, 4), and all arms' joints; other arms are hidden."""
         model, data = self._model, self._data
-        for k, (arm, root) in enumerate(zip(self._rig.arms, self._roots, strict=True)):
+        for k, arm in enumerate(self._rig.arms):
             own = self._arm_of_geom[:-1] == k + 1
-            model.geom_group[own] = self._group[own] if k in T_base_in_cam else _HIDDEN_GROUP
-            if k in T_base_in_cam:
-                model.body_pos[root] = T_base_in_cam[k][:3, 3]
-                model.body_quat[root] = quat_from_rotation(T_base_in_cam[k][:3, :3])
-            for name, angle in zip(arm.robot.joint_names, postures[k].joints, strict=True):
-                data.qpos[model.joint(arm.prefix + name).qposadr[0]] = angle
-            addresses, signs = finger_addresses(model, arm.robot, arm.prefix)
-            data.qpos[addresses] = postures[k].opening * signs
+            model.geom_group[own] = self._group[own] if k in T_base_in_cam else HIDDEN_GROUP
+            place_arm(model, data, arm, postures[k], T_base_in_cam.get(k))
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_camlight(model, data)

@@ -45,7 +45,7 @@ class PrivilegedTrial:
     @functools.cached_property
     def expert_attempt(self) -> SimulatedAttempt:
         """Attempt of the task's scripted expert at this trial, simulated at the first access."""
-        return simulate_expert(self._simulator, self.attempt)
+        return simulate_expert(self._simulator, self.attempt, disturbed=False)
 
 
 @runtime_checkable

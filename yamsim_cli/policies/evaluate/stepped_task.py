@@ -88,7 +88,7 @@ class SteppedTask(Closable):
         The trial starts like the attempt that `yamsim record` records: same objects, poses, distractors and looks.
         """
         for attempt in self._sampled_attempts(job):
-            done = simulate_expert(self.simulator, attempt)
+            done = simulate_expert(self.simulator, attempt, disturbed=False)
             if done.outcome.success:
                 self._set_up(done.attempt)
                 parts = [state.actions for state in done.recorded_states]

@@ -68,7 +68,7 @@ class Estimate:
             "low": self.low,
             "high": self.high,
             "model": self.model_value,
-            "told": self.is_determined,
+            "determined": self.is_determined,
         }
 
 
@@ -83,8 +83,8 @@ def estimate_parameters(plant: ParametricArm, fitted: FitResult) -> list[Estimat
         low = max(number - whole, 0.0) if parameter.name in ("delay", "friction", "armature") else number - whole
         joint = "" if parameter.joint is None else plant.robot.joint_names[parameter.joint]
         before = parameter_value(plant.model_values, parameter)
-        told = bool(half < _DETERMINED_SHARE * 1.96 * parameter.prior_sigma)
-        found.append(Estimate(joint, ESTIMATE_NAMES[parameter.name], number, low, number + whole, before, told))
+        determined = bool(half < _DETERMINED_SHARE * 1.96 * parameter.prior_sigma)
+        found.append(Estimate(joint, ESTIMATE_NAMES[parameter.name], number, low, number + whole, before, determined))
     return found
 
 

@@ -17,6 +17,7 @@ from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
+from yamsim_cli.core.scene.arm_model import finger_addresses
 from yamsim_cli.core.scene.blueprint import Blueprint
 from yamsim_cli.core.scene.build import build_rig_scene
 from yamsim_cli.core.scene.compose import add_home_key, compose_scene
@@ -235,8 +236,8 @@ class CollisionSpace:
         mujoco.mj_resetDataKeyframe(model, self._data, 0)
         self._qpos = np.array([model.joint(arm.prefix + name).qposadr[0] for name in arm.robot.joint_names])
         if arm.robot.fingers is not None:
-            for name, sign in zip(arm.robot.fingers.joints, arm.robot.finger_signs, strict=True):
-                self._data.qpos[model.joint(arm.prefix + name).qposadr[0]] = sign * arm.robot.fingers.initial_opening
+            addresses, signs = finger_addresses(model, arm.robot, arm.prefix)
+            self._data.qpos[addresses] = arm.robot.fingers.initial_opening * signs
         base = model.body(arm.prefix + arm.robot.base).id
         self._own_geoms = model.body_rootid[model.geom_bodyid] == base
         self._moving_geoms = self._own_geoms & (model.geom_bodyid != base)

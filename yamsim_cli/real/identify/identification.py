@@ -71,7 +71,7 @@ class HeldOutError:
             "seconds": self.seconds,
             "before_rad": self.rms_before,
             "after_rad": self.rms_after,
-            "fallen": self.relative_reduction,
+            "reduction": self.relative_reduction,
             "joints": joints,
         }
 

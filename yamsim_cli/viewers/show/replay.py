@@ -21,6 +21,7 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
 from yamsim_cli.core.images.video import VideoWriter
 from yamsim_cli.core.recorded_motion import RecordedMotion
+from yamsim_cli.core.scene.arm_model import finger_addresses
 from yamsim_cli.core.scene.blueprint import Blueprint
 
 from ..page_address import PageAddress
@@ -194,6 +195,6 @@ def _measured_positions(motion: RecordedMotion, blueprint: Blueprint, model: muj
         for k, name in enumerate(robot.joint_names):
             states[:, model.joint(prefix + name).qposadr[0]] = arm.joints[rows, k]
         if robot.fingers is not None and arm.openings is not None:
-            for name, sign in zip(robot.fingers.joints, robot.finger_signs, strict=True):
-                states[:, model.joint(prefix + name).qposadr[0]] = sign * arm.openings[rows]
+            addresses, signs = finger_addresses(model, robot, prefix)
+            states[:, addresses] = arm.openings[rows, None] * signs
     return states

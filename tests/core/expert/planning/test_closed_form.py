@@ -68,9 +68,10 @@ def _require_complete(model: mujoco.MjModel, number: int) -> None:
         assert np.abs(solutions - joints).max(axis=1).min() <= 1e-9
 
 
+@pytest.mark.parametrize("number", [300, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("rig", SHIPPED)
-def test_all_joints_of_a_pose_are_found(rig: str) -> None:
-    _require_complete(_model(rig), 300)
+def test_all_joints_of_a_pose_are_found(rig: str, number: int) -> None:
+    _require_complete(_model(rig), number)
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.15])

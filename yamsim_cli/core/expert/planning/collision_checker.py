@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...config.goals.world import TABLE
+from ...errors import SimulationError
 from ...geometry.se3 import Array, pose, quat_from_rotation
 from ...scene.compiled import ArmAddresses, Ids
 
@@ -26,6 +27,7 @@ _MIN_SUPPORT_NORMAL = 0.7  # vertical component of a contact's normal above whic
 # Two geoms collide if the type of one and the affinity of the other have a common bit. A body has the bits of all its
 # geoms.
 _COLLISION_MASK_FIELDS = ("geom_contype", "geom_conaffinity", "body_contype", "body_conaffinity")
+_MAX_KINDS = 31  # pairs of contype and conaffinity, each a bit of MuJoCo's signed masks of 32 bits
 
 
 @dataclass(frozen=True)
@@ -194,6 +196,10 @@ class CollisionChecker:
         # Geoms with the same type and affinity in the scene share one bit.
         masks = np.column_stack(self._masks[None, None][:2])
         kinds, kind = np.unique(masks, axis=0, return_inverse=True)
+        if len(kinds) > _MAX_KINDS:
+            raise SimulationError(
+                f"the scene's geoms have {len(kinds)} different pairs of contype and conaffinity; at most {_MAX_KINDS}"
+            )
         bits = 1 << np.arange(len(kinds))
         collide = ((kinds[:, :1] & kinds[:, 1]) | (kinds[:, 1:] & kinds[:, 0])) != 0
         geoms = [np.where(moves, bits[kind.ravel()], 0), np.where(stays, (collide @ bits)[kind.ravel()], 0)]

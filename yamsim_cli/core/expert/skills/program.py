@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
 from pydantic import ValidationError
 
+from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
 from ...config.program_task import ProgramTask
 from ...errors import ConfigError, suggest_similar
@@ -29,23 +30,26 @@ from .put_aside import PutAside, Regrasp, put_down_failed_object
 from .set_upright import SetUpright, TurnTowardsArms
 from .skill import Skill, find_holding_hand
 
-# The skills of programs. A new skill is a module in this package, and an entry here and in `SKILL_SECONDS`.
-SKILLS: Mapping[str, type[Skill]] = {
-    "pick": Pick,
-    "place": Place,
-    "insert": Insert,
-    "handover": Handover,
-    "put_aside": PutAside,
-    "push": Push,
-    "set_upright": SetUpright,
-    "turn": TurnTowardsArms,
-    "regrasp": Regrasp,
-    "operate": Operate,
-    "lift": BimanualLift,
-    "hang": Hang,
-    "fold": Fold,
-    "flatten": Flatten,
+# The skills of programs, and the typical duration of each, s. A new skill is a module in this package, and an entry
+# here. Source: means of successful attempts at the shipped tasks. No shipped task has `push`, `turn` or `regrasp`;
+# their values are estimated from a reach and a motion, `place` and `handover`.
+_SKILLS_AND_SECONDS: Mapping[str, tuple[type[Skill], float]] = {
+    "pick": (Pick, 2.7),
+    "place": (Place, 3.0),
+    "insert": (Insert, 3.0),
+    "handover": (Handover, 4.7),
+    "put_aside": (PutAside, 3.0),
+    "push": (Push, 5.0),
+    "set_upright": (SetUpright, 7.0),
+    "turn": (TurnTowardsArms, 3.0),
+    "regrasp": (Regrasp, 9.4),
+    "operate": (Operate, 5.0),
+    "lift": (BimanualLift, 3.7),
+    "hang": (Hang, 5.0),
+    "fold": (Fold, 6.8),
+    "flatten": (Flatten, 7.0),
 }
+SKILLS: Mapping[str, type[Skill]] = {name: kind for name, (kind, _) in _SKILLS_AND_SECONDS.items()}
 
 # Key of a loop over the objects of a role: `each: {of: cup, do: [...]}`.
 _LOOP_KEY = "each"
@@ -183,7 +187,7 @@ def _read_skill(
 
 def run_program(
     program: Sequence[Skill], context: PlanningContext, roles: RoleAssignment, log: RecoveryLog
-) -> Iterator[MotionSegment]:
+) -> Generator[MotionSegment, None, None]:
     """Yield the segments of skills in order; a skill that fails is retried from the present state."""
     number = 0
     tries: dict[int, int] = {}
@@ -195,10 +199,10 @@ def run_program(
             tries[number] = tries.get(number, 0) + 1
             if tries[number] >= _MAX_ATTEMPTS:
                 raise
-            log.recoveries.append(SkillRetry(number, _skill_name(skill), str(error)))
-            # Arms without a free path stay where they are.
+            log.recoveries.append(SkillRetry(number, skill_name(skill), str(error)))
+            # Arms without a free path stay where they are, and so do those that follow a pushed object.
             with suppress(SkillFailedError):
-                yield from open_and_park_hands(context)
+                yield from () if error.cause is FailureCause.KNOCKED else open_and_park_hands(context)
             if (
                 tries[number] == _ATTEMPTS_WITH_SAME_GRASP
                 and isinstance(skill, PlaceSkill)
@@ -211,7 +215,8 @@ def run_program(
             number += 1
 
 
-def _skill_name(skill: Skill) -> str:
+def skill_name(skill: Skill) -> str:
+    """Return the name of a skill in programs."""
     return next((name for name, known in SKILLS.items() if type(skill) is known), type(skill).__name__.lower())
 
 
@@ -226,38 +231,20 @@ def _step_to_retry(program: Sequence[Skill], number: int, context: PlanningConte
     """
     if not program[number].REQUIRES_HELD_OBJECT:
         return number
-    thing = _skill_object(program[number], roles)
+    thing = skill_object(program[number], roles)
     if find_holding_hand(context, thing) is not None:
         return number
     takes = (
         k for k in reversed(range(number)) if program[k].LEAVES_OBJECT_HELD and not program[k].REQUIRES_HELD_OBJECT
     )
-    return next((k for k in takes if _skill_object(program[k], roles) == thing), number)
+    return next((k for k in takes if skill_object(program[k], roles) == thing), number)
 
 
-def _skill_object(skill: Skill, roles: RoleAssignment) -> str:
+def skill_object(skill: Skill, roles: RoleAssignment) -> str:
     """Return the object of a skill's first role, to which `REQUIRES_HELD_OBJECT` and `LEAVES_OBJECT_HELD` refer."""
     return roles.object_of(skill.roles()[0][1])
 
 
-# s. Source: means of successful attempts at the shipped tasks. No shipped task has `push`, `turn` or `regrasp`; their
-# values are estimated from a reach and a motion, `place` and `handover`.
-SKILL_SECONDS: Mapping[str, float] = {
-    "pick": 2.7,
-    "place": 3.0,
-    "insert": 3.0,
-    "handover": 4.7,
-    "put_aside": 3.0,
-    "push": 5.0,
-    "set_upright": 7.0,
-    "turn": 3.0,
-    "regrasp": 9.4,
-    "operate": 5.0,
-    "lift": 3.7,
-    "hang": 5.0,
-    "fold": 6.8,
-    "flatten": 7.0,
-}
 _FOLD_IN_THIRDS_FACTOR = 1.6  # of "fold", measured: folding in thirds takes two folds in one reach
 
 
@@ -271,5 +258,5 @@ def typical_tick_count(task: ProgramTask) -> int:
 
 
 def _typical_seconds(skill: Skill) -> float:
-    (name,) = (name for name, known in SKILLS.items() if type(skill) is known)
-    return SKILL_SECONDS[name] * (_FOLD_IN_THIRDS_FACTOR if isinstance(skill, Fold) and skill.how == "thirds" else 1)
+    (seconds,) = (seconds for kind, seconds in _SKILLS_AND_SECONDS.values() if type(skill) is kind)
+    return seconds * (_FOLD_IN_THIRDS_FACTOR if isinstance(skill, Fold) and skill.how == "thirds" else 1)

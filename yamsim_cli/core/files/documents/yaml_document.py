@@ -50,6 +50,7 @@ class _Loader(_AliasRefusal, yaml.SafeLoader):
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012  (PyYAML's own name)
 
     def __init__(self, stream: str | bytes) -> None:
+        # The composer, which comes first, takes no stream.
         yaml.SafeLoader.__init__(self, stream)
 
 
@@ -92,14 +93,18 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _construct_int)
 _Loader.add_constructor("tag:yaml.org,2002:float", _construct_float)
 
 
-class _FastLoader(_AliasRefusal, yaml.CSafeLoader):
+# A PyYAML that was built without libyaml lacks `CSafeLoader`.
+_ParserBase: type[yaml.SafeLoader] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class _FastLoader(_AliasRefusal, _ParserBase):  # type: ignore[misc, valid-type]
     """Reads by libyaml's parser, in a fifth of the time. Its error messages say less."""
 
     yaml_implicit_resolvers = _Loader.yaml_implicit_resolvers
     yaml_constructors = _Loader.yaml_constructors
 
     def __init__(self, stream: str | bytes) -> None:
-        yaml.CSafeLoader.__init__(self, stream)
+        _ParserBase.__init__(self, stream)
         _AliasRefusal.__init__(self)
 
 
