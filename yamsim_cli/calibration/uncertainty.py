@@ -20,12 +20,10 @@ _INFLATION = 1.8  # of all intervals; without it, errors of planted stations exc
 _JOINT2_ERROR = 1.3
 _EXPOSURE = 0.005  # s; a picture shows some time, and its stamp is from its beginning, middle or end
 _HALF_REACHES = (3.5, 2.5, 2.5, 2.5)  # grains, rounds of the fit of a half
-
+# Share of the interval before the fit. A value counts as measured if its interval is narrower than this.
+_MAX_INTERVAL_RATIO = 0.7
 
 Groups = NDArray[np.int64]  # (frames,) numbers of groups
-
-# Share of the interval before the fit; a value counts as measured if its interval is narrower.
-_MAX_INTERVAL_RATIO = 0.7
 
 
 def is_measured(half_width: float, prior: float) -> bool:
@@ -36,9 +34,14 @@ def is_measured(half_width: float, prior: float) -> bool:
 def is_base_measured(position_95_mm: Sequence[float], rotation_95_deg: Sequence[float]) -> bool:
     """Return whether all half widths (3,) of the second base's 95 % intervals, mm and degrees, are measured."""
     priors = FitPriors(())
-    return is_measured(max(position_95_mm) / 1000, priors.base_shift) and is_measured(
-        math.radians(max(rotation_95_deg)), priors.base_turn
-    )
+    return is_pose_measured(position_95_mm, rotation_95_deg, priors.base_shift, priors.base_turn)
+
+
+def is_pose_measured(
+    position_95_mm: Sequence[float], rotation_95_deg: Sequence[float], shift: float, turn: float
+) -> bool:
+    """Return whether all half widths (3,) of a pose are measured, with prior standard deviations in m and rad."""
+    return is_measured(max(position_95_mm) / 1000, shift) and is_measured(math.radians(max(rotation_95_deg)), turn)
 
 
 @dataclass(frozen=True)

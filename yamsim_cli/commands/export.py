@@ -5,13 +5,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from yamsim_cli.core.errors import ResourceError, UsageError, count_noun
+from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError, count_noun
 from yamsim_cli.flags.output_files import RenameExisting
 from yamsim_cli.flags.selection_file import SelectionFile, selection_of
-from yamsim_cli.flags.session_options import Json, Offline, session_opener
+from yamsim_cli.flags.session_options import Json, Offline, Revision, session_opener
 from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
 
 if TYPE_CHECKING:
+    from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.files.resources import Locations
     from yamsim_cli.export.export_source import ActionSource, RealSource, SimulatedSource
     from yamsim_cli.export.output_directory import ExportResult
@@ -349,6 +350,11 @@ def calibration(
             show_default=False,
         ),
     ] = None,
+    rig: Annotated[
+        str | None,
+        typer.Option(help="Rig that `yamsim calibrate` was given.  [default: the calibration's]", show_default=False),
+    ] = None,
+    revision: Revision = None,
     overwrite: RenameExisting = False,
     json: Json = False,
 ) -> None:
@@ -359,12 +365,13 @@ def calibration(
     session_opener.disable_gl()
 
     from yamsim_cli.calibration.calibration_file import load_calibration
-    from yamsim_cli.calibration.sidecars.table import make_files, require_formats, write_files
+    from yamsim_cli.calibration.sidecars.formats import make_files, require_formats, write_files
 
-    chosen = require_formats(formats or ())
+    require_formats(formats or ())
     where = session_opener.find_locations()
     found = load_calibration(file, where)
-    made = make_files(found, session_opener.load_rig(found.rig, where), where, chosen)
+    settings = _rig_of_calibration(rig, found.rig, revision, where)
+    made = make_files(found, settings, where, formats or ())
     moved = write_files(made, out, overwrite=overwrite)
     left_out = [line for one in made.values() for line in one.left_out]
     for line in left_out:
@@ -376,6 +383,16 @@ def calibration(
         print_json(report | {"moved_aside": str(moved) if moved else None})
     else:
         print_line(f"{', '.join(written)}: {count_noun(sum(map(len, written.values())), 'file')} in {out}")
+
+
+def _rig_of_calibration(name: str | None, own: str, revision: str | None, locations: Locations) -> RigConfig:
+    """Return the rig `name`, or that with the calibration's own name, which ROBOT+GRIPPER and files do not have."""
+    if name is not None:
+        return session_opener.load_rig(name, locations, revision=revision)
+    try:
+        return session_opener.load_rig(own, locations, revision=revision)
+    except ConfigError as error:
+        raise ConfigError(f"{error}; give --rig as for `yamsim calibrate`") from None
 
 
 def _parse_fps(text: str) -> float | None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ...core.errors import UsageError, suggest_similar
 from ...core.geometry.se3 import Array
-from ..calibration_file import CalibratedArm, Calibration
+from ..calibration_file import CalibratedArm, CalibratedWristCamera, Calibration
 from ..uncertainty import is_base_measured
+from ..wrist_fit import is_wrist_camera_measured
 
 
 @dataclass(frozen=True)
@@ -35,13 +36,22 @@ def measured_right_base(calibration: Calibration) -> tuple[Array | None, str]:
         return None, "the calibration has a single arm"
     if not is_base_measured(arm.position_95_mm, arm.rotation_95_deg):
         return None, (
-            f"the base of {arm.name} is not measured (95 % interval {max(arm.position_95_mm):.1f} mm, "
-            f"{max(arm.rotation_95_deg):.2f} degrees): calibrate with a camera that sees both arms"
+            f"the base of {arm.name} is not measured ({_interval(arm)}): calibrate with a camera that sees both arms"
         )
     return arm.T_base_in_reference, ""
 
 
-def require_known_arm(name: str, known: list[str], source: str) -> None:
-    """Raise UsageError if an arm's name of the calibration is unknown to `source`."""
-    if name not in known:
-        raise UsageError(f"the calibration's arm {name!r} is not in {source}; {suggest_similar(name, known)}")
+def wrist_camera_misfit(camera: CalibratedWristCamera) -> str:
+    """Return why a wrist camera's pose is not written; empty if the pictures measured it."""
+    if is_wrist_camera_measured(camera.position_95_mm, camera.rotation_95_deg):
+        return ""
+    return f"its pose is not measured ({_interval(camera)}): calibrate with more or larger pictures"
+
+
+def _interval(body: CalibratedArm | CalibratedWristCamera) -> str:
+    return f"95 % interval {max(body.position_95_mm):.1f} mm, {max(body.rotation_95_deg):.2f} degrees"
+
+
+def padded_coefficients(distortion: Sequence[float], count: int) -> list[float]:
+    """Return the first `count` lens coefficients in OpenCV's order, with zeros for missing ones."""
+    return [float(value) for value in (*distortion, *[0.0] * count)[:count]]

@@ -1,4 +1,9 @@
-"""Kalibr's camchain of the fixed cameras. Source: Kalibr, `kalibr_common/ConfigReader.py`."""
+"""Kalibr's camchain of the fixed cameras.
+
+`T_cn_cnm1` transforms points of the previous camera to this one.
+
+Source: ethz-asl/kalibr 1f60227, `kalibr_common/ConfigReader.py`: `CameraParameters` and `CameraChainParameters`.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +14,7 @@ from ...core.files.documents.yaml_document import dump_yaml
 from ...core.files.resources import Locations
 from ...core.geometry.se3 import Array, invert_pose
 from ..calibration_file import CalibratedCamera, Calibration
-from .content import FormatFiles
+from .content import FormatFiles, padded_coefficients
 
 _RADTAN = 4  # coefficients: k1 k2 p1 p2
 CAMCHAIN_FILE = "camchain.yaml"
@@ -46,12 +51,11 @@ def _misfit(camera: CalibratedCamera) -> str:
 def _camera_entry(camera: CalibratedCamera) -> dict[str, Any]:
     (fu, _, pu), (_, fv, pv), _ = camera.K
     distorted = any(camera.distortion)
-    coefficients = [float(value) for value in (*camera.distortion, *[0.0] * _RADTAN)[:_RADTAN]]
     return {
         "camera_model": "pinhole",
         "intrinsics": [float(value) for value in (fu, fv, pu, pv)],
         "distortion_model": "radtan" if distorted else "none",
-        "distortion_coeffs": coefficients if distorted else [],
+        "distortion_coeffs": padded_coefficients(camera.distortion, _RADTAN) if distorted else [],
         "resolution": [camera.width, camera.height],
         "rostopic": f"/{camera.name}/image_raw",
     }

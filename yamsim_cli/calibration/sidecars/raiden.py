@@ -1,4 +1,8 @@
-"""raiden's `calibration_results.json`."""
+"""raiden's `calibration_results.json`.
+
+Source: TRI-ML/raiden 2353b10, `docs/guide/calibration.md` and `raiden/calibration/runner.py` (keys, five coefficients
+of a lens, poses in m with OpenCV's axes). `export.raiden_frames` has the frame of each pose.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +22,12 @@ from ...export.raiden_frames import (
     scene_camera,
     wrist_camera,
 )
-from ..calibration_file import Calibration
-from .content import FormatFiles, measured_right_base
+from ..calibration_file import CalibratedCamera, CalibratedWristCamera, Calibration
+from .content import FormatFiles, measured_right_base, padded_coefficients, wrist_camera_misfit
 
 RESULTS_FILE = "calibration_results.json"
 _SOURCE = "yamsim calibrate"
+_COEFFICIENTS = 5  # k1 k2 p1 p2 k3, the least that raiden writes
 
 
 def write_raiden(calibration: Calibration, rig: RigConfig, locations: Locations) -> FormatFiles:
@@ -33,18 +38,17 @@ def write_raiden(calibration: Calibration, rig: RigConfig, locations: Locations)
     left_out: list[str] = []
     cameras: dict[str, Any] = {}
     for fixed in calibration.cameras:
-        entry = camera_entry(fixed.K, fixed.distortion, (fixed.width, fixed.height), _SOURCE, fixed.frames)
-        cameras[fixed.name] = scene_camera(entry, fixed.T_cam_in_base)
+        cameras[fixed.name] = scene_camera(_entry(fixed, fixed.frames), fixed.T_cam_in_base)
     arms = {rig.arms[k].name: (number, rig.arms[k]) for number, k in enumerate(rig.recording_order)}
     for camera in calibration.wrist_cameras:
         number, arm = arms[camera.arm]
-        T_grasp_in_flange = _grasp_in_flange(arm)
-        if T_grasp_in_flange is None:
-            left_out.append(f"raiden: camera {camera.name}: {arm.robot.model} has no grasp_site")
+        name = WRIST_CAMERAS[number]
+        reason = f"the file has another camera {name}" if name in cameras else wrist_camera_misfit(camera)
+        if reason:
+            left_out.append(f"raiden: camera {camera.name}: {reason}")
             continue
-        T = invert_pose(T_grasp_in_flange) @ pose_from_quat(camera.position, camera.quat)
-        entry = camera_entry(camera.K, camera.distortion, (camera.width, camera.height), _SOURCE, camera.pictures)
-        cameras[WRIST_CAMERAS[number]] = wrist_camera(WRIST_CAMERAS[number], number, entry, T, _SOURCE)
+        T = invert_pose(_grasp_in_flange(arm)) @ pose_from_quat(camera.position, camera.quat)
+        cameras[name] = wrist_camera(name, number, _entry(camera, camera.pictures), T, _SOURCE)
     data = calibration_document(cameras, "yamsim")
     if len(calibration.arms) > 1:
         T_right, reason = measured_right_base(calibration)
@@ -55,10 +59,12 @@ def write_raiden(calibration: Calibration, rig: RigConfig, locations: Locations)
     return FormatFiles({RESULTS_FILE: json.dumps(data, indent=2) + "\n"}, tuple(left_out))
 
 
-def _grasp_in_flange(arm: ArmConfig) -> Array | None:
+def _entry(camera: CalibratedCamera | CalibratedWristCamera, pictures: int) -> dict[str, Any]:
+    distortion = padded_coefficients(camera.distortion, max(_COEFFICIENTS, len(camera.distortion)))
+    return camera_entry(camera.K, distortion, (camera.width, camera.height), _SOURCE, pictures)
+
+
+def _grasp_in_flange(arm: ArmConfig) -> Array:
     kinematics = ArmKinematics(kinematic_model(arm))
     joints = [0.0] * arm.robot.dof
-    try:
-        return invert_pose(kinematics.T_site_in_base(joints, "tool")) @ kinematics.T_grasp_in_base(joints)
-    except KeyError:  # MuJoCo: there is no such site
-        return None
+    return invert_pose(kinematics.T_site_in_base(joints, "tool")) @ kinematics.T_grasp_in_base(joints)

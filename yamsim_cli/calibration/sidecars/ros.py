@@ -1,7 +1,8 @@
 """ROS: a camera_info file of each camera, and commands that publish the poses.
 
-Sources: camera_calibration_parsers, `parse_yml.cpp`; sensor_msgs, `distortion_models.hpp`; tf2_ros,
-`static_transform_broadcaster_program.cpp`.
+Sources: ros-perception/image_common f6e4ab6, `camera_calibration_parsers/src/parse_yml.cpp` (keys);
+`sensor_msgs/distortion_models.hpp` (names of the lens models); ros2/geometry2 04e7636,
+`tf2_ros/src/static_transform_broadcaster_program.cpp` (m, quaternion x y z w, pose of the child frame in the parent).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from ...core.files.documents.yaml_document import dump_yaml
 from ...core.files.resources import Locations
 from ...core.geometry.se3 import Array, pose_from_quat, quat_from_rotation
 from ..calibration_file import CalibratedCamera, CalibratedWristCamera, Calibration
-from .content import FormatFiles, measured_right_base, second_arm
+from .content import FormatFiles, measured_right_base, padded_coefficients, second_arm, wrist_camera_misfit
 
 _PLUMB_BOB = 5  # coefficients: k1 k2 p1 p2 k3
 _RATIONAL = 8  # coefficients: those, and k4 k5 k6; OpenCV's further ones are thin-prism and tilt terms
@@ -31,13 +32,13 @@ def write_ros(calibration: Calibration, rig: RigConfig, locations: Locations) ->
     left_out: list[str] = []
     commands: list[str] = []
     base = f"{calibration.reference}_base"
-    parents = [(camera, base) for camera in calibration.cameras]
-    on_wrists = [(camera, f"{camera.arm}_flange") for camera in calibration.wrist_cameras]
-    for camera, parent in (*parents, *on_wrists):
-        if any(camera.distortion[_RATIONAL:]):
-            left_out.append(
-                f"ros: camera {camera.name}: its lens has thin-prism or tilt terms, which camera_info does not have"
-            )
+    parents: list[tuple[CalibratedCamera | CalibratedWristCamera, str]] = [
+        *((camera, base) for camera in calibration.cameras),
+        *((camera, f"{camera.arm}_flange") for camera in calibration.wrist_cameras),
+    ]
+    for camera, parent in parents:
+        if reason := _misfit(camera):
+            left_out.append(f"ros: camera {camera.name}: {reason}")
             continue
         files[f"{camera.name}.yaml"] = _camera_info(camera)
         T = pose_from_quat(camera.position, camera.quat)
@@ -55,11 +56,16 @@ def write_ros(calibration: Calibration, rig: RigConfig, locations: Locations) ->
     return FormatFiles(files, tuple(left_out))
 
 
+def _misfit(camera: CalibratedCamera | CalibratedWristCamera) -> str:
+    if any(camera.distortion[_RATIONAL:]):
+        return "its lens has thin-prism or tilt terms, which camera_info does not have"
+    return wrist_camera_misfit(camera) if isinstance(camera, CalibratedWristCamera) else ""
+
+
 def _camera_info(camera: CalibratedCamera | CalibratedWristCamera) -> str:
     K = np.array(camera.K, dtype=np.float64)
     rational = any(camera.distortion[_PLUMB_BOB:_RATIONAL])
-    count = _RATIONAL if rational else _PLUMB_BOB
-    coefficients = (*camera.distortion, *[0.0] * count)[:count]
+    coefficients = padded_coefficients(camera.distortion, _RATIONAL if rational else _PLUMB_BOB)
     data = {
         "image_width": camera.width,
         "image_height": camera.height,

@@ -11,7 +11,7 @@ from ...core.errors import UsageError, suggest_similar
 from ...core.files.resources import Locations
 from ...export.output_directory import export_directory
 from ..calibration_file import Calibration
-from .content import FormatFiles, require_known_arm
+from .content import FormatFiles
 from .inspect_robots import write_inspect_robots
 from .kalibr import write_kalibr
 from .raiden import write_raiden
@@ -26,36 +26,40 @@ FORMATS: Mapping[str, Callable[[Calibration, RigConfig, Locations], FormatFiles]
 _CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # names of files and ROS frames contain it
 
 
-def require_formats(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names without repetitions, all formats for none. Raise UsageError for an unknown one."""
+def require_formats(names: Sequence[str]) -> None:
+    """Raise UsageError if one of the names is not a format."""
     for name in names:
         if name not in FORMATS:
             raise UsageError(f"--format {name!r} is not valid; {suggest_similar(name, list(FORMATS))}")
-    return tuple(dict.fromkeys(names)) or tuple(FORMATS)
 
 
 def make_files(
     calibration: Calibration, rig: RigConfig, locations: Locations, formats: Sequence[str]
 ) -> dict[str, FormatFiles]:
-    """Return the files of each format.
+    """Return the files of each of `formats`, or of all formats if it is empty.
 
     Raises UsageError if arms of the calibration are not the rig's, a camera's name cannot name a file, two cameras
-    have one name, or no format fits the calibration.
+    have one name, one of `formats` does not fit the calibration, or none of all formats does.
     """
     _require_valid_names(calibration, rig)
-    made = {name: FORMATS[name](calibration, rig, locations) for name in formats}
-    if not any(one.files for one in made.values()):
-        lines = "; ".join(line for one in made.values() for line in one.left_out)
-        raise UsageError(f"the calibration fits none of {', '.join(formats)}: {lines or 'it has no cameras'}")
+    made = {name: FORMATS[name](calibration, rig, locations) for name in formats or FORMATS}
+    empty = {name: one for name, one in made.items() if not one.files}
+    if empty and (formats or len(empty) == len(made)):
+        lines = "; ".join(line for one in empty.values() for line in one.left_out)
+        raise UsageError(f"the calibration does not fit {', '.join(empty)}: {lines or 'it has no fixed cameras'}")
     return made
 
 
 def _require_valid_names(calibration: Calibration, rig: RigConfig) -> None:
-    in_rig, in_file = [arm.name for arm in rig.arms], [arm.name for arm in calibration.arms]
-    for name in in_file:
-        require_known_arm(name, in_rig, f"rig {rig.name!r}")
-    for name in (calibration.reference, *(camera.arm for camera in calibration.wrist_cameras)):
-        require_known_arm(name, in_file, "its `arms`")
+    calibration.for_rig(rig, "export calibration")
+    left = rig.arms[rig.recording_order[0]].name
+    if calibration.reference != left:
+        raise UsageError(f"the calibration's reference is {calibration.reference!r}; it must be {left!r}, the left arm")
+    arms = [arm.name for arm in calibration.arms]
+    for camera in calibration.wrist_cameras:
+        if camera.arm not in arms:
+            hint = suggest_similar(camera.arm, arms)
+            raise UsageError(f"the calibration's camera {camera.name!r} is on unknown arm {camera.arm!r}; {hint}")
     names = [camera.name for camera in (*calibration.cameras, *calibration.wrist_cameras)]
     for name in names:
         if not _CAMERA_NAME.fullmatch(name):
