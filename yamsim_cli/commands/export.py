@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _MAX_FPS = 500  # frames/s: the rate of physics steps
 
-app = typer.Typer(help="Write a dataset in the formats of other programs.", no_args_is_help=True)
+app = typer.Typer(help="Write a dataset or a calibration in the formats of other programs.", no_args_is_help=True)
 
 Dataset = Annotated[
     Path, typer.Argument(help="The directory that `yamsim record` or `yamsim import` wrote.", show_default=False)
@@ -336,9 +336,9 @@ def rerun(
 
 @app.command()
 def calibration(
-    file: Annotated[
+    calibration: Annotated[
         Path,
-        typer.Argument(metavar="CALIBRATION", help="calibration.yaml of `yamsim calibrate`.", show_default=False),
+        typer.Argument(help="calibration.yaml of `yamsim calibrate`.", show_default=False),
     ],
     out: Out,
     formats: Annotated[
@@ -369,7 +369,7 @@ def calibration(
 
     require_formats(formats or ())
     where = session_opener.find_locations()
-    found = load_calibration(file, where)
+    found = load_calibration(calibration, where)
     settings = _rig_of_calibration(rig, found.rig, revision, where)
     made = make_files(found, settings, where, formats or ())
     moved = write_files(made, out, overwrite=overwrite)

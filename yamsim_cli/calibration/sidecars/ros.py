@@ -51,7 +51,11 @@ def write_ros(calibration: Calibration, rig: RigConfig, locations: Locations) ->
         else:
             commands.append(_static_transform(T_right, base, f"{arm.name}_base"))
     if commands:
-        lines = ["#!/bin/sh", "# Publishes the calibrated poses until it is stopped.", "trap 'kill 0' INT TERM"]
+        lines = [
+            "#!/bin/sh",
+            "# Publishes the calibrated poses until it is stopped.",
+            "trap 'trap - INT TERM; kill 0' INT TERM",
+        ]
         files[TRANSFORMS_FILE] = "\n".join([*lines, *(f"{command} &" for command in commands), "wait", ""])
     return FormatFiles(files, tuple(left_out))
 
