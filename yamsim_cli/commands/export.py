@@ -360,12 +360,12 @@ def calibration(
 ) -> None:
     """Write a station's calibration in formats of other programs, as OUT/FORMAT/, and say what does not fit.
 
-    Example: yamsim export calibration calibration/calibration.yaml sidecars/ --format ros
+    Example: yamsim export calibration calibration/calibration.yaml exported/ --format ros
     """
     session_opener.disable_gl()
 
     from yamsim_cli.calibration.calibration_file import load_calibration
-    from yamsim_cli.calibration.sidecars.formats import make_files, require_formats, write_files
+    from yamsim_cli.calibration.export_formats.formats import make_files, require_formats, write_files
 
     require_formats(formats or ())
     where = session_opener.find_locations()

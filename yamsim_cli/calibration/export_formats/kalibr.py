@@ -14,7 +14,7 @@ from ...core.files.documents.yaml_document import dump_yaml
 from ...core.files.resources import Locations
 from ...core.geometry.se3 import Array, invert_pose
 from ..calibration_file import CalibratedCamera, Calibration
-from .content import FormatFiles, padded_coefficients
+from .format_files import FormatFiles, padded_coefficients
 
 _RADTAN = 4  # coefficients: k1 k2 p1 p2
 CAMCHAIN_FILE = "camchain.yaml"

@@ -11,7 +11,7 @@ from ...core.errors import UsageError, suggest_similar
 from ...core.files.resources import Locations
 from ...export.output_directory import export_directory
 from ..calibration_file import Calibration
-from .content import FormatFiles
+from .format_files import FormatFiles
 from .inspect_robots import write_inspect_robots
 from .kalibr import write_kalibr
 from .raiden import write_raiden

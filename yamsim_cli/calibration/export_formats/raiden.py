@@ -23,7 +23,7 @@ from ...export.raiden_frames import (
     wrist_camera,
 )
 from ..calibration_file import CalibratedCamera, CalibratedWristCamera, Calibration
-from .content import FormatFiles, measured_right_base, padded_coefficients, wrist_camera_misfit
+from .format_files import FormatFiles, measured_right_base, padded_coefficients, wrist_camera_misfit
 
 RESULTS_FILE = "calibration_results.json"
 _SOURCE = "yamsim calibrate"

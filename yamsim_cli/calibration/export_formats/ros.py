@@ -16,7 +16,7 @@ from ...core.files.documents.yaml_document import dump_yaml
 from ...core.files.resources import Locations
 from ...core.geometry.se3 import Array, pose_from_quat, quat_from_rotation
 from ..calibration_file import CalibratedCamera, CalibratedWristCamera, Calibration
-from .content import FormatFiles, measured_right_base, padded_coefficients, second_arm, wrist_camera_misfit
+from .format_files import FormatFiles, measured_right_base, padded_coefficients, second_arm, wrist_camera_misfit
 
 _PLUMB_BOB = 5  # coefficients: k1 k2 p1 p2 k3
 _RATIONAL = 8  # coefficients: those, and k4 k5 k6; OpenCV's further ones are thin-prism and tilt terms

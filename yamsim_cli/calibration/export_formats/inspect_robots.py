@@ -14,7 +14,7 @@ from ...core.config.rig import RigConfig
 from ...core.files.resources import Locations
 from ...core.geometry.se3 import pose, rotation_z, tilt_angle, yaw
 from ..calibration_file import Calibration
-from .content import FormatFiles, measured_right_base
+from .format_files import FormatFiles, measured_right_base
 
 CONFIG_FILE = "config.ini"
 # rad, the smallest reported tilt: at a reach of 0.7 m, it moves the hand by 1.2 mm, about the penetration that the
