@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from yamsim_cli import doctor
-from yamsim_cli.core.files.filesystem_mounts import Mount
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.doctor import Health, HealthCheck, failed_checks, run_health_checks
+from yamsim_cli.filesystem_mounts import Mount
 from yamsim_cli.gl import GlBackend
 
 SOFTWARE = GlBackend("egl", "llvmpipe (LLVM 19)")

@@ -44,6 +44,7 @@ FLOORS: dict[str, int] = {
     "core.expert": 7,
     "core.episode": 8,
     "cpu_limits": 8,
+    "filesystem_mounts": 8,
     "gl": 8,
     "mesh_download": 8,
     "early_worker": 9,

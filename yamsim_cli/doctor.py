@@ -15,12 +15,12 @@ from pathlib import Path
 
 from . import __version__
 from .core.errors import ResourceError, YamsimError
-from .core.files.filesystem_mounts import network_mount, read_mounts
 from .core.files.resources import Locations
 from .core.files.writing import directory_obstacle, nearest_directory, publish_directory
 from .core.scene.assets import AssetSet, AssetStore, find_reduced, load_lock
 from .core.scene.assets.asset_store import FileStatus
 from .cpu_limits import usable_cores, usable_memory
+from .filesystem_mounts import network_mount, read_mounts
 from .gl import INSTALL_GL, LINUX_BACKENDS, GlBackend, probe_backend
 
 # Packages that every command needs.

@@ -234,7 +234,7 @@ def test_after_a_kill_nothing_is_half_visible_and_the_rest_is_the_same(recorded:
     ],
 )
 def test_invalid_changes_are_refused(
-    given: tuple[str, ...], code: int, message: str, recorded: Path, tmp_path: Path
+    given: tuple[str, ...], code: int, message: str, physics: Path, tmp_path: Path
 ) -> None:
     scene = tmp_path / "scene.yaml"
     text = (REPOSITORY / "configs" / "scenes" / "tabletop.yaml").read_text()
@@ -242,14 +242,14 @@ def test_invalid_changes_are_refused(
     (tmp_path / "cameras.yaml").write_text("views: []\n")
     files = {"SCENE": str(scene), "CAMERAS": str(tmp_path / "cameras.yaml")}
     words = [files.get(word, word) for word in given]
-    done = yamsim("draw", recorded, "--out", tmp_path / "out", *words, "--offline")
+    done = yamsim("draw", physics, "--out", tmp_path / "out", *words, "--offline")
     assert done.code == code, done.err
     assert message in done.err
     assert not (tmp_path / "out").exists()
 
 
-def test_the_dataset_itself_is_no_output(recorded: Path) -> None:
-    before = contents(recorded)
-    done = yamsim("draw", recorded, "--out", recorded, "--overwrite", "--offline")
+def test_the_dataset_itself_is_no_output(physics: Path) -> None:
+    before = contents(physics)
+    done = yamsim("draw", physics, "--out", physics, "--overwrite", "--offline")
     assert done.code == 2 and "stays as it is" in done.message
-    assert contents(recorded) == before
+    assert contents(physics) == before

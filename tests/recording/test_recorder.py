@@ -17,8 +17,8 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError, PartialJobError, ResourceError
 from yamsim_cli.core.expert.skills.program import typical_tick_count
-from yamsim_cli.core.files.filesystem_mounts import Mount
 from yamsim_cli.core.workers.stop_request import StopRequest
+from yamsim_cli.filesystem_mounts import Mount
 
 Make = Callable[..., RecordConfig]
 

@@ -17,9 +17,9 @@ from ..core.dataset.writing.staged_writer import MAX_WAITING, EpisodeWriter, Sta
 from ..core.dataset.writing.writer import DatasetWriter, config_for_new_episodes
 from ..core.errors import InterruptedJobError
 from ..core.expert.skills.program import typical_tick_count
-from ..core.files.filesystem_mounts import Mount, network_mount, read_mounts
 from ..core.files.writing import nearest_directory
 from ..core.workers.stop_request import StopRequest
+from ..filesystem_mounts import Mount, network_mount, read_mounts
 from .collect import RecordCallbacks
 from .disk_space import EpisodeSize, check_space, files_per_episode
 

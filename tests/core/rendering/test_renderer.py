@@ -104,7 +104,7 @@ def _ball_centroid(
             geom.emission = 1.0
             geom.castshadow = 0
             scene.ngeom += 1
-        images.append(renderer._average_pixels(renderer._render_whole_image(), None).astype(int))
+        images.append(renderer._average_pixels(renderer._render_whole_image())[::-1].astype(int))
     rows, columns = np.nonzero(np.abs(images[1] - images[0]).max(axis=2) > 30)
     assert len(rows) > 50
     return np.array([columns.mean(), rows.mean()])

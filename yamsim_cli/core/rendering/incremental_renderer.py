@@ -8,6 +8,7 @@ Source of the passes and of OpenGL's states: `mjr_render` in MuJoCo's `render_gl
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -246,8 +247,8 @@ class IncrementalRenderer:
         lights = np.concatenate([data.light_xpos, data.light_xdir], axis=1).astype(np.float32)
         return _Poses(matrices, positions, data.flexvert_xpos.astype(np.float32), lights)
 
-    def _corners(self, poses: _Poses) -> Array:
-        """Return the corners (n, 8, 3) of the boxes around all geoms, m."""
+    def _corners(self, poses: _Poses, growth: float = 0.0) -> Array:
+        """Return the corners (n, 8, 3) of the boxes around all geoms, m, which are larger by `growth` on each side."""
         assert self._layout is not None
         aabb = self._layout.aabb.copy()
         for geom in np.flatnonzero(self._layout.is_flex):
@@ -256,6 +257,7 @@ class IncrementalRenderer:
             points, radius = poses.points[first : first + count], self._model.flex_radius[flex]
             low, high = points.min(axis=0) - radius, points.max(axis=0) + radius
             aabb[geom] = *((low + high) / 2), *((high - low) / 2)
+        aabb[:, 3:] += growth
         rotations = poses.matrices[:, :3, :3].transpose(0, 2, 1).astype(np.float64)
         return box_corners(aabb, poses.positions.astype(np.float64), rotations)
 
@@ -311,7 +313,7 @@ class IncrementalRenderer:
             volumes = self._shadow_volumes(light, view)
             if not volumes.is_bounded:
                 return everything
-            corners = np.concatenate([before.box_corners[casting], view.box_corners[casting]])
+            corners = np.concatenate([self._corners(each.poses, volumes.margin)[casting] for each in (before, view)])
             found.append(projection.boxes(volumes.hull_points(corners))[0])
         return union(np.concatenate(found))
 
@@ -335,7 +337,9 @@ class IncrementalRenderer:
             for k in self._layout.shadow_tables
         )
         direction = np.array(self._scene.lights[light].dir, np.float64)
-        return ShadowVolumes(direction / np.linalg.norm(direction), lowest, tables, _SHADOW_MARGIN * texel)
+        return ShadowVolumes(
+            direction / np.linalg.norm(direction), lowest, tables, math.sqrt(3) * _SHADOW_MARGIN * texel
+        )
 
     def _update_shadow_map(self, light: int, view: _View) -> None:
         """Draw the changed part of the shadow map, and keep the texture's projection in `_shadow_matrix`."""
@@ -365,7 +369,9 @@ class IncrementalRenderer:
         gl.glShadeModel(GL.GL_FLAT)
         gl.glDisable(GL.GL_LIGHTING)
         gl.glColorMask(0, 0, 0, 0)
-        gl.glDisable(GL.GL_CULL_FACE)
+        # `mjr_render` also draws the faces that the light sees from behind. The faces in front of them cast the same
+        # shadow, except at edges of thin geoms.
+        (gl.glDisable if self._shaders is None else gl.glEnable)(GL.GL_CULL_FACE)
         gl.glEnable(GL.GL_POLYGON_OFFSET_FILL)
         gl.glPolygonOffset(*(_POLYGON_OFFSET if self._shaders is None else _SMOOTH_POLYGON_OFFSET))
         self._draw_geoms(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
@@ -27,6 +28,22 @@ class ScissorBox(NamedTuple):
     def is_empty(self) -> bool:
         """Whether the box contains no pixel."""
         return self.width <= 0 or self.height <= 0
+
+    @property
+    def pixels(self) -> tuple[slice, slice]:
+        """Index of the box in an image whose first row is the lowest."""
+        return slice(self.bottom, self.bottom + self.height), slice(self.left, self.left + self.width)
+
+    def aligned(self, across: int, up: int) -> ScissorBox:
+        """Return the smallest box around this one whose edges are multiples of `across` and `up` pixels."""
+        left, bottom = self.left // across * across, self.bottom // up * up
+        right, top = -(-(self.left + self.width) // across) * across, -(-(self.bottom + self.height) // up) * up
+        return ScissorBox(left, bottom, right - left, top - bottom)
+
+    def scaled(self, size: Sequence[int], old: Sequence[int]) -> ScissorBox:
+        """Return the box in an image of another size: height and width of the new and of the old image."""
+        x, y = (size[1], old[1]), (size[0], old[0])
+        return ScissorBox(*(value * new // before for value, (new, before) in zip(self, (x, y, x, y), strict=True)))
 
 
 def box_corners(aabb: Array, positions: Array, rotations: Array) -> Array:
@@ -115,7 +132,7 @@ class ShadowVolumes:
         direction: unit vector (3,) in which the light travels, in `world`.
         lowest_plane: height of the lowest surface of the scene, m.
         tables: boxes that stop shadows.
-        margin: growth of a geom on each side, m, for the texels of the shadow map.
+        margin: growth of a geom's box on each side, m, for the texels of the shadow map.
     """
 
     direction: Array
@@ -128,9 +145,11 @@ class ShadowVolumes:
         """Whether the light falls so steeply that shadows stay short."""
         return bool(self.direction[2] < -_MIN_LIGHT_DESCENT)
 
-    def hull_points(self, corners: Array) -> Array:
-        """Return points (n, 128, 3) whose hull contains the shadows of boxes with the corners (n, 8, 3), m."""
-        grown = (corners[:, :, None] + self.margin * _CORNER_SIGNS).reshape(len(corners), -1, 3)
+    def hull_points(self, grown: Array) -> Array:
+        """Return points (n, 16, 3) whose hull contains the shadows of boxes with the corners `grown` (n, 8, 3), m.
+
+        The boxes are those of the geoms, larger by `margin`.
+        """
         reach = np.maximum(grown[..., 2] - self.lowest_plane, 0) / -self.direction[2]
         for table in self.tables:
             reach = np.minimum(reach, self._reach_of_table(table, grown))

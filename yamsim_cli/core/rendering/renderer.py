@@ -95,6 +95,15 @@ class _RenderContexts:
         self.gl = self.context = None
 
 
+def _averaging_step(fine: int, size: int) -> int:
+    """Return the number of fine pixels whose multiples are edges of pixels of the final size too.
+
+    Averages of parts of an image equal those of the whole one only if OpenCV's weights are exact, as halves are.
+    """
+    common = math.gcd(fine, size)
+    return fine // common if size // common <= 2 else fine
+
+
 class SceneRenderer(Closable):
     """Renders images of a scene's cameras. Close the renderer, or use it as a context manager.
 
@@ -141,7 +150,7 @@ class SceneRenderer(Closable):
             ) from error
         self._rect, self._fine_rect = mujoco.MjrRect(0, 0, *size), mujoco.MjrRect(0, 0, *fine)
         self._pixels = np.empty((fine[1], fine[0], 3), np.uint8)
-        self._averaged = np.empty((size[1], size[0], 3), np.uint8)
+        self._averaging_steps = (_averaging_step(fine[0], size[0]), _averaging_step(fine[1], size[1]))
         self._option = mujoco.MjvOption()
         self._scene = mujoco.MjvScene(model, maxgeom=_MAX_GEOMS)
         self._camera = mujoco.MjvCamera()
@@ -149,7 +158,7 @@ class SceneRenderer(Closable):
         self.description = _opengl_name()
         # A GPU draws a whole image in less time than the changed part takes to be found.
         self._draws_changes = incremental and is_software_renderer(self.description)
-        self._images: dict[str, Image] = {}
+        self._images: dict[str, tuple[Image, Image]] = {}  # of each camera, in the fine and in the final size
         self._incremental = (
             self._make_incremental_renderer(fine, smooth_shadows) if self._draws_changes or smooth_shadows else None
         )
@@ -188,7 +197,9 @@ class SceneRenderer(Closable):
         """Render an RGB image (height, width, 3) of the scene in the state `data`, into `out` if given."""
         self._update_scene(data, camera)
         pixels = self._render_changed_part(data, camera) if self._incremental else None
-        return self._average_pixels(self._render_whole_image() if pixels is None else pixels, out)
+        image = np.empty((self._height, self._width, 3), np.uint8) if out is None else out
+        cv2.flip(self._average_pixels(self._render_whole_image()) if pixels is None else pixels, 0, image)
+        return image
 
     def render_geom_ids(self, data: mujoco.MjData, camera: str) -> GeomIds:
         """Render the id of the visible geom at each pixel, as int32 (height, width); -1 for no geom."""
@@ -256,12 +267,12 @@ class SceneRenderer(Closable):
             view.frustum_width = (view.frustum_top - view.frustum_bottom) / 2 * self._width / self._height
 
     def _render_changed_part(self, data: mujoco.MjData, camera: str) -> Image | None:
-        """Return the camera's image in the fine size, bottom row first; None if only `mjr_render` can draw it."""
+        """Return the camera's image in the final size, bottom row first; None if only `mjr_render` can draw it."""
         assert self._incremental is not None
         context = self._make_context_current()
         if camera not in self._images:
-            self._images[camera] = np.empty_like(self._pixels)
-        image = self._images[camera]
+            self._images[camera] = np.empty_like(self._pixels), np.empty((self._height, self._width, 3), np.uint8)
+        fine, image = self._images[camera]
         if not self._draws_changes:
             self._incremental.invalidate()
         box = self._incremental.draw(data, camera)
@@ -271,7 +282,9 @@ class SceneRenderer(Closable):
             try:
                 part = np.empty((box.height, box.width, 3), np.uint8)
                 mujoco.mjr_readPixels(part, None, mujoco.MjrRect(*box), context)
-                image[box.bottom : box.bottom + box.height, box.left : box.left + box.width] = part
+                fine[box.pixels] = part
+                box = box.aligned(*self._averaging_steps)
+                image[box.scaled(image.shape, fine.shape).pixels] = self._average_pixels(fine[box.pixels])
             except BaseException:
                 self._incremental.invalidate()
                 raise
@@ -284,14 +297,13 @@ class SceneRenderer(Closable):
         mujoco.mjr_readPixels(self._pixels, None, self._fine_rect, context)
         return self._pixels
 
-    def _average_pixels(self, pixels: Image, out: Image | None) -> Image:
-        """Return an image of the fine size, bottom row first, in the final size, top row first; in `out` if given."""
-        image = np.empty((self._height, self._width, 3), np.uint8) if out is None else out
-        if pixels.shape != image.shape:
-            size = (self._width, self._height)
-            pixels = np.asarray(cv2.resize(pixels, size, self._averaged, interpolation=cv2.INTER_AREA), np.uint8)
-        cv2.flip(pixels, 0, image)
-        return image
+    def _average_pixels(self, pixels: Image) -> Image:
+        """Return a part of an image of the fine size, or the whole one, in the final size."""
+        fine, part = self._fine_rect, pixels.shape
+        if (fine.width, fine.height) == (self._width, self._height):
+            return pixels
+        size = (part[1] * self._width // fine.width, part[0] * self._height // fine.height)
+        return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
 
     def _render_ids(self, colours: Image | None, depth: NDArray[np.float32] | None) -> None:
         """Render each geom in the colour of its number, without light or smoothing, into the given arrays."""

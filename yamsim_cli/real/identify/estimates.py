@@ -9,7 +9,7 @@ import numpy as np
 
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.statistics import student_t_quantile_95
+from yamsim_cli.core.statistics import Z95, student_t_quantile_95
 
 from .parameter_fit import FitParameter, FitResult, parameter_value
 from .plant_model import TIMESTEP, ParametricArm
@@ -25,11 +25,10 @@ ESTIMATE_NAMES = {
 }
 # Added half widths of intervals, because real physics differs from the model.
 _MODEL_ERROR_DELAY = 0.0006  # s, a controller's timestep
-_ADDED_FRICTION_SHARE, _ADDED_DAMPING_SHARE, _ADDED_ARMATURE_SHARE = (
-    0.03,
-    0.02,
-    0.05,
-)  # shares of the value: real friction may obey another law
+# Shares of the value, because real friction may obey another law.
+_ADDED_FRICTION_SHARE = 0.03
+_ADDED_DAMPING_SHARE = 0.02
+_ADDED_ARMATURE_SHARE = 0.05
 _MODEL_ERROR_INERTIA = 0.05  # share of the friction torque that appears as inertia under another friction law
 _MODEL_ERROR_OFFSET = 0.0004  # rad, an encoder's resolution
 _MODEL_ERROR_GRAVITY = 0.003
@@ -83,7 +82,7 @@ def estimate_parameters(plant: ParametricArm, fitted: FitResult) -> list[Estimat
         low = max(number - whole, 0.0) if parameter.name in ("delay", "friction", "armature") else number - whole
         joint = "" if parameter.joint is None else plant.robot.joint_names[parameter.joint]
         before = parameter_value(plant.model_values, parameter)
-        determined = bool(half < _DETERMINED_SHARE * 1.96 * parameter.prior_sigma)
+        determined = bool(half < _DETERMINED_SHARE * Z95 * parameter.prior_sigma)
         found.append(Estimate(joint, ESTIMATE_NAMES[parameter.name], number, low, number + whole, before, determined))
     return found
 

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 
-from yamsim_cli.core.files.filesystem_mounts import Mount, mount_at, network_mount, parse_mounts, read_mounts
+from yamsim_cli.filesystem_mounts import Mount, mount_at, network_mount, parse_mounts, read_mounts
 
 TABLE = """\
 22 27 0:21 / /proc rw,relatime - proc proc rw
@@ -151,7 +151,7 @@ def test_a_mount_that_hangs_is_recognised_without_hanging(tmp_path: Path) -> Non
         server.send_signal(signal.SIGSTOP)
         code = (
             "from pathlib import Path\n"
-            "from yamsim_cli.core.files.filesystem_mounts import network_mount, read_mounts\n"
+            "from yamsim_cli.filesystem_mounts import network_mount, read_mounts\n"
             f"print(network_mount(Path({str(point / 'deep' / 'er')!r}), read_mounts()).kind)"
         )
         environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
