@@ -64,6 +64,7 @@ NOT_RUN = {
     r"picture_policy": "it needs PyTorch, with which tests/test_picture_policy.py runs these lines in miniature",
     r"^pip install\b": "it would change this environment; what is missing skips the test",
     r"^yamsim calibrate\b": "it needs larger pictures; tests/cli/test_calibrate_command.py has them",
+    r"^yamsim export calibration\b": "it needs a calibration; tests/calibration/test_export_formats.py has one",
     r"^yamsim match\b|matched.yaml": "it needs photos of a station; tests/match/test_match.py renders some",
     r"^yamsim identify log": "it takes minutes and a log of one; tests/real/identify has some",
     r"--robot my_arm": "it is of an arm that was measured; tests/core/robots/test_dynamics.py has one",

@@ -14,12 +14,16 @@ from tests.export.lerobot_files import check_numbers, rows
 from tests.export.lerobot_files import recorded as all_recorded
 from tests.export.raiden_diff import column, differences, frames_of
 from tests.unrendered import change_record
+from yamsim_cli.calibration.calibration_file import Calibration
+from yamsim_cli.calibration.export_formats.formats import make_files
 from yamsim_cli.core.attempt_data import AttemptJob
+from yamsim_cli.core.config.loader import parse_config
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.reader import read_recording_config
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose
+from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose, quat_from_rotation
+from yamsim_cli.core.scene.cameras import wrist_camera_pose
 from yamsim_cli.export.export_source import open_source
 from yamsim_cli.export.lerobot import export_lerobot
 from yamsim_cli.export.raiden import export_raiden
@@ -129,6 +133,57 @@ def test_raidens_cameras_are_in_the_left_base_and_its_calibration_says_so_too(tw
     scene = calibration["cameras"]["scene_camera"]["extrinsics"]
     T = pose(scene["translation_vector"], scene["rotation_matrix"])
     np.testing.assert_allclose(T, was[0]["extrinsics"]["scene_camera"], atol=1e-6)
+
+
+def test_a_calibration_with_the_true_poses_becomes_the_same_raiden_file(
+    two_armed: Path, raiden: Path, locations: Locations
+) -> None:
+    true = json.loads((raiden / "calibration_results.json").read_text())
+    frame, rig = recorded(two_armed)[0], read_recording_config(two_armed, locations).rig
+
+    def keys(camera: str | None, T: Any) -> dict[str, Any]:
+        found = {"position": T[:3, 3].tolist(), "quat": quat_from_rotation(T[:3, :3]).tolist()}
+        found |= {"position_95_mm": [1.0] * 3, "rotation_95_deg": [0.1] * 3}
+        if camera is None:
+            return found
+        width, height = true["cameras"][camera]["intrinsics"]["image_size"]
+        lens = {"K": frame["intrinsics"][camera].tolist(), "width": width, "height": height}
+        return found | lens | {"name": camera, "outline_px": 0.1}
+
+    figures = {"focal": "given", "focal_95_percent": 0.5, "delay_ms": 0.0, "delay_95_ms": 5.0, "frames": 40}
+    offsets = {"joint_offsets_deg": [0.0] * 6, "joint_offsets_95_deg": [1.0] * 6}
+    left = rig.arms[rig.recording_order[0]]
+    bases = [np.eye(4) if arm is left else np.asarray(frame["T_right_base_in_left_base"]) for arm in rig.arms]
+    data = {
+        "rig": rig.name,
+        "reference": left.name,
+        "cameras": [keys("scene_camera", np.asarray(frame["extrinsics"]["scene_camera"])) | figures],
+        "arms": [
+            keys(None, T) | {"name": arm.name, **offsets, "joint_offsets_estimated": [False] * 6}
+            for arm, T in zip(rig.arms, bases, strict=True)
+        ],
+        "wrist_cameras": [
+            keys(arm.wrist_camera_name, wrist_camera_pose(arm)) | {"arm": arm.name, "pictures": 12} for arm in rig.arms
+        ],
+    }
+    calibration = parse_config(Calibration, json.dumps(data), "calibration.yaml", locations)
+    made = make_files(calibration, rig, locations, ["raiden"])["raiden"]
+    assert made.left_out == ()
+    found = json.loads(made.files["calibration_results.json"])
+    assert found.keys() == true.keys()
+    assert found["cameras"].keys() == true["cameras"].keys()
+    base, other = found["bimanual_transform"], true["bimanual_transform"]
+    np.testing.assert_allclose(base["right_base_to_left_base"], other["right_base_to_left_base"], atol=1e-6)
+    for camera in CAMERAS:
+        one, other = found["cameras"][camera], true["cameras"][camera]
+        assert one.keys() == other.keys()
+        np.testing.assert_allclose(one["intrinsics"]["camera_matrix"], other["intrinsics"]["camera_matrix"], atol=1e-4)
+        for part in {"extrinsics", "hand_eye_calibration"} & one.keys():
+            assert one[part].keys() == other[part].keys()
+            for key in ("rotation_matrix", "translation_vector"):
+                np.testing.assert_allclose(
+                    one[part][key], other[part][key], atol=2e-6, err_msg=f"{camera} {part} {key}"
+                )
 
 
 def test_two_arms_do_not_go_into_the_arrays_of_one(two_armed: Path, locations: Locations, tmp_path: Path) -> None:

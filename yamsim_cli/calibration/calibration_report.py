@@ -31,11 +31,10 @@ from .calibrate_run import CameraOutcome, StationOutcome, outline_px
 from .calibration_file import CalibratedArm, CalibratedCamera, CalibratedWristCamera, Calibration, Numbers3
 from .exchanges import WristCameraMoves, wrist_camera_fault
 from .station_fit import FitPriors, StationFit
-from .uncertainty import PoseInterval, StationIntervals
+from .uncertainty import PoseInterval, StationIntervals, is_measured
 from .wrist_fit import WristFit, WristOutcome
 
 CALIBRATION_FILE, REPORT_FILE, PAGE_FILE = "calibration.yaml", "calibration.json", "calibration.html"
-_MAX_INTERVAL_RATIO = 0.7  # an offset counts as estimated if its interval is at most this share of that before the fit
 _SHOWN_FRAMES = 12  # pictures of a camera on the page
 _OPACITY = 0.35  # of the arms over a picture, 0..1
 _JPEG_QUALITY = 85  # 0..100
@@ -122,7 +121,7 @@ def _with_focal_scale(model: CameraModel, scale: float) -> tuple[Numbers3, Numbe
 
 def _calibrated_arm(name: str, number: int, fit: StationFit, intervals: StationIntervals) -> CalibratedArm:
     T, offsets, widths = fit.state.T_arm_in_base[number], fit.state.offsets[number], intervals.offsets[number]
-    before = Z95 * FitPriors(()).offset
+    prior = FitPriors(()).offset
     return CalibratedArm(
         name=name,
         position=_numbers(T[:3, 3]),
@@ -130,7 +129,7 @@ def _calibrated_arm(name: str, number: int, fit: StationFit, intervals: StationI
         **_widths(intervals.bases[number]),
         joint_offsets_deg=tuple(float(value) for value in np.degrees(offsets).round(4)),
         joint_offsets_95_deg=tuple(float(value) for value in np.degrees(widths).round(4)),
-        joint_offsets_estimated=(False, *(bool(width < _MAX_INTERVAL_RATIO * before) for width in widths[1:])),
+        joint_offsets_estimated=(False, *(is_measured(float(width), prior) for width in widths[1:])),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..core.geometry.se3 import Array, invert_pose, rotation_vector
 from ..core.statistics import Z95, student_t_quantile_95
-from .station_fit import DELAY, FOCAL, FittedCameraView, StationFit, StationProblem, StationState
+from .station_fit import DELAY, FOCAL, FitPriors, FittedCameraView, StationFit, StationProblem, StationState
 
 _MIN_GROUPS = 8  # groups of pictures; with fewer episodes, each is divided
 _INFLATION = 1.8  # of all intervals; without it, errors of planted stations exceeded them by up to 1.6 times
@@ -19,9 +20,28 @@ _INFLATION = 1.8  # of all intervals; without it, errors of planted stations exc
 _JOINT2_ERROR = 1.3
 _EXPOSURE = 0.005  # s; a picture shows some time, and its stamp is from its beginning, middle or end
 _HALF_REACHES = (3.5, 2.5, 2.5, 2.5)  # grains, rounds of the fit of a half
-
+# Share of the interval before the fit. A value counts as measured if its interval is narrower than this.
+_MAX_INTERVAL_RATIO = 0.7
 
 Groups = NDArray[np.int64]  # (frames,) numbers of groups
+
+
+def is_measured(half_width: float, prior: float) -> bool:
+    """Return whether the half width of a 95 % interval is clearly less than that of the prior standard deviation."""
+    return half_width < _MAX_INTERVAL_RATIO * Z95 * prior
+
+
+def is_base_measured(position_95_mm: Sequence[float], rotation_95_deg: Sequence[float]) -> bool:
+    """Return whether all half widths (3,) of the second base's 95 % intervals, mm and degrees, are measured."""
+    priors = FitPriors(())
+    return is_pose_measured(position_95_mm, rotation_95_deg, priors.base_shift, priors.base_turn)
+
+
+def is_pose_measured(
+    position_95_mm: Sequence[float], rotation_95_deg: Sequence[float], shift: float, turn: float
+) -> bool:
+    """Return whether all half widths (3,) of a pose are measured, with prior standard deviations in m and rad."""
+    return is_measured(max(position_95_mm) / 1000, shift) and is_measured(math.radians(max(rotation_95_deg)), turn)
 
 
 @dataclass(frozen=True)

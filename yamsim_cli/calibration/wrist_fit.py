@@ -37,7 +37,7 @@ from ..photos.overlay.body_views import BodyRenderer
 from .chosen_frames import spread_choice, weighted_poses
 from .episode_pictures import EpisodePictures
 from .station_fit import EDGE_SIGMA, rendered_edges
-from .uncertainty import PoseInterval
+from .uncertainty import PoseInterval, is_pose_measured
 
 _BIN = 0.002  # m of one finger's opening; pictures within count as of the same opening
 _BINS = 5  # openings, at most
@@ -93,6 +93,11 @@ class WristOutcome:
     model: CameraModel
     fit: WristFit | None
     refusal: str | None
+
+
+def is_wrist_camera_measured(position_95_mm: Sequence[float], rotation_95_deg: Sequence[float]) -> bool:
+    """Return whether all half widths (3,) of a wrist camera's 95 % intervals, mm and degrees, are measured."""
+    return is_pose_measured(position_95_mm, rotation_95_deg, _PRIOR_SHIFT, _PRIOR_TURN)
 
 
 def estimate_wrist_camera(

@@ -5,13 +5,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from yamsim_cli.core.errors import ResourceError, UsageError, count_noun
+from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError, count_noun
 from yamsim_cli.flags.output_files import RenameExisting
 from yamsim_cli.flags.selection_file import SelectionFile, selection_of
-from yamsim_cli.flags.session_options import Json, Offline, session_opener
+from yamsim_cli.flags.session_options import Json, Offline, Revision, session_opener
 from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
 
 if TYPE_CHECKING:
+    from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.files.resources import Locations
     from yamsim_cli.export.export_source import ActionSource, RealSource, SimulatedSource
     from yamsim_cli.export.output_directory import ExportResult
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 _MAX_FPS = 500  # frames/s: the rate of physics steps
 
-app = typer.Typer(help="Write a dataset in the formats of other programs.", no_args_is_help=True)
+app = typer.Typer(help="Write a dataset or a calibration in the formats of other programs.", no_args_is_help=True)
 
 Dataset = Annotated[
     Path, typer.Argument(help="The directory that `yamsim record` or `yamsim import` wrote.", show_default=False)
@@ -331,6 +332,67 @@ def rerun(
     with progress_bar("exporting", "episodes") as advance:
         done = export_rerun(source, out, advance, overwrite=overwrite)
     _print(done, json, source.selection)
+
+
+@app.command()
+def calibration(
+    calibration: Annotated[
+        Path,
+        typer.Argument(help="calibration.yaml of `yamsim calibrate`.", show_default=False),
+    ],
+    out: Out,
+    formats: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--format",
+            metavar="FORMAT",
+            help="ros, kalibr, raiden or inspect_robots; may be repeated.  [default: all that fit]",
+            show_default=False,
+        ),
+    ] = None,
+    rig: Annotated[
+        str | None,
+        typer.Option(help="Rig that `yamsim calibrate` was given.  [default: the calibration's]", show_default=False),
+    ] = None,
+    revision: Revision = None,
+    overwrite: RenameExisting = False,
+    json: Json = False,
+) -> None:
+    """Write a station's calibration in formats of other programs, as OUT/FORMAT/, and say what does not fit.
+
+    Example: yamsim export calibration calibration/calibration.yaml exported/ --format ros
+    """
+    session_opener.disable_gl()
+
+    from yamsim_cli.calibration.calibration_file import load_calibration
+    from yamsim_cli.calibration.export_formats.formats import make_files, require_formats, write_files
+
+    require_formats(formats or ())
+    where = session_opener.find_locations()
+    found = load_calibration(calibration, where)
+    settings = _rig_of_calibration(rig, found.rig, revision, where)
+    made = make_files(found, settings, where, formats or ())
+    moved = write_files(made, out, overwrite=overwrite)
+    left_out = [line for one in made.values() for line in one.left_out]
+    for line in left_out:
+        print_note(f"left out: {line}")
+    note_moved(out, moved)
+    written = {name: sorted(one.files) for name, one in made.items() if one.files}
+    if json:
+        report = {"path": str(out), "formats": written, "left_out": left_out}
+        print_json(report | {"moved_aside": str(moved) if moved else None})
+    else:
+        print_line(f"{', '.join(written)}: {count_noun(sum(map(len, written.values())), 'file')} in {out}")
+
+
+def _rig_of_calibration(name: str | None, own: str, revision: str | None, locations: Locations) -> RigConfig:
+    """Return the rig `name`, or that with the calibration's own name, which ROBOT+GRIPPER and files do not have."""
+    if name is not None:
+        return session_opener.load_rig(name, locations, revision=revision)
+    try:
+        return session_opener.load_rig(own, locations, revision=revision)
+    except ConfigError as error:
+        raise ConfigError(f"{error}; give --rig as for `yamsim calibrate`") from None
 
 
 def _parse_fps(text: str) -> float | None:

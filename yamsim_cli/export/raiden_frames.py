@@ -29,7 +29,7 @@ from .raiden_schema import HandFrameName, RaidenOptions
 
 _ARM_SIDES = ("left", "right")  # in the order of raiden's arrays
 # In the order of `_ARM_SIDES`; a single arm is the left one.
-_WRIST_CAMERAS = ("left_wrist_camera", "right_wrist_camera")
+WRIST_CAMERAS = ("left_wrist_camera", "right_wrist_camera")
 
 _KINEMATICS_FILES = {"i2rt": "raiden_kinematics.xml"}  # hand frame -> MJCF file with its kinematics
 _HAND_FRAME_DESCRIPTIONS = {
@@ -40,7 +40,7 @@ _HAND_FRAME_DESCRIPTIONS = {
 _ZERO_TIME = "1970-01-01T00:00:00.000000"
 # The real right wrist camera is mounted upside down. raiden's code turns its images and its hand-eye pose by 180
 # degrees, so the file must hold the pose before that turn. Source: TRI-ML/raiden, `converter.py`, `server.py`.
-_UPSIDE_DOWN_CAMERA = _WRIST_CAMERAS[1]
+_UPSIDE_DOWN_CAMERA = WRIST_CAMERAS[1]
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
@@ -52,7 +52,7 @@ def hand_frame(name: HandFrameName) -> dict[str, str]:
 def camera_names(source: SimulatedSource) -> dict[str, str]:
     """Map each camera to its name in raiden's layout. Only wrist cameras get new names."""
     wrists = _wrist_arms(source)
-    return {name: _WRIST_CAMERAS[wrists[name]] if name in wrists else name for name in source.camera_sizes}
+    return {name: WRIST_CAMERAS[wrists[name]] if name in wrists else name for name in source.camera_sizes}
 
 
 def _wrist_arms(source: SimulatedSource) -> dict[str, int]:
@@ -186,48 +186,76 @@ def calibration_json(
     cameras: dict[str, Any] = {}
     for camera, size in source.camera_sizes.items():
         name = converter.names[camera]
-        entry = {
-            "serial_number": 0,
-            "intrinsics": {
-                "camera_matrix": np.asarray(frames[0]["intrinsics"][name]).tolist(),
-                "distortion_coeffs": [0.0] * 5,
-                "image_size": list(size),
-                "source": "simulation",
-            },
-            "num_poses_used": 0,
-        }
+        entry = camera_entry(frames[0]["intrinsics"][name], [0.0] * 5, size, "simulation")
         if camera in wrists:
-            cameras[name] = _wrist_camera(name, wrists[camera], entry, converter, frames, T_right_base_in_left_base)
+            T_cam = _mean_hand_eye_pose(name, wrists[camera], converter, frames, T_right_base_in_left_base)
+            cameras[name] = wrist_camera(name, wrists[camera], entry, T_cam, "sim")
         else:
-            extrinsics = _transform_json(np.asarray(frames[0]["extrinsics"][name], np.float64))
-            extrinsics["reference_frame"] = "left_arm_base"
-            cameras[name] = {"type": "scene", **entry, "arm": _ARM_SIDES[0], "extrinsics": extrinsics}
-    found = {
-        "version": "1.0",
-        "timestamp": _ZERO_TIME,
-        "coordinate_frame": "left_arm_base",
-        "hand_frame": hand_frame(options.hand_frame),
-        "cameras": cameras,
-    }
+            cameras[name] = scene_camera(entry, np.asarray(frames[0]["extrinsics"][name], np.float64))
+    found = calibration_document(cameras, options.hand_frame)
     if T_right_base_in_left_base is not None:
-        # raiden's `converter.py` inverts the first entry.
-        found["bimanual_transform"] = {
-            "right_base_to_left_base": invert_pose(T_right_base_in_left_base).tolist(),
-            "computed_from_calibration": False,
-            "description": "Pose of the left arm's base in the right one's: the inverse of T_right_base_in_left_base",
-            "T_right_base_in_left_base": T_right_base_in_left_base.tolist(),
-        }
+        found["bimanual_transform"] = bimanual_transform(T_right_base_in_left_base, computed_from_calibration=False)
     return found
 
 
-def _wrist_camera(
+def calibration_document(cameras: Mapping[str, Any], frame: HandFrameName) -> dict[str, Any]:
+    """Return the content of `calibration_results.json` with these cameras, without the pose of the right base."""
+    return {
+        "version": "1.0",
+        "timestamp": _ZERO_TIME,
+        "coordinate_frame": "left_arm_base",
+        "hand_frame": hand_frame(frame),
+        "cameras": cameras,
+    }
+
+
+def camera_entry(
+    K: ArrayLike, distortion: Sequence[float], size: Sequence[int], source: str, pictures: int = 0
+) -> dict[str, Any]:
+    """Return the part of a camera's entry that does not depend on its pose.
+
+    Args:
+        K: camera matrix (3, 3), px.
+        distortion: OpenCV's coefficients.
+        size: width and height, px.
+        source: what determined the matrix.
+        pictures: number of pictures of the calibration.
+    """
+    return {
+        "serial_number": 0,
+        "intrinsics": {
+            "camera_matrix": np.asarray(K).tolist(),
+            "distortion_coeffs": list(distortion),
+            "image_size": list(size),
+            "source": source,
+        },
+        "num_poses_used": pictures,
+    }
+
+
+def scene_camera(entry: Mapping[str, Any], T_cam_in_left_base: Array) -> dict[str, Any]:
+    """Return the entry of a fixed camera with its pose (4, 4), m."""
+    extrinsics = {**_transform_json(T_cam_in_left_base), "reference_frame": "left_arm_base"}
+    return {"type": "scene", **entry, "arm": _ARM_SIDES[0], "extrinsics": extrinsics}
+
+
+def bimanual_transform(T_right_base_in_left_base: Array, *, computed_from_calibration: bool) -> dict[str, Any]:
+    """Return the entry of the right base's pose (4, 4), m. raiden's `converter.py` inverts its first value."""
+    return {
+        "right_base_to_left_base": invert_pose(T_right_base_in_left_base).tolist(),
+        "computed_from_calibration": computed_from_calibration,
+        "description": "Pose of the left arm's base in the right one's: the inverse of T_right_base_in_left_base",
+        "T_right_base_in_left_base": T_right_base_in_left_base.tolist(),
+    }
+
+
+def _mean_hand_eye_pose(
     name: str,
     arm: int,
-    entry: Mapping[str, Any],
     converter: FrameConverter,
     frames: Frames,
     T_right_base_in_left_base: Array | None,
-) -> dict[str, Any]:
+) -> Array:
     to_base = np.eye(4)
     if arm == 1 and T_right_base_in_left_base is not None:
         to_base = invert_pose(T_right_base_in_left_base)
@@ -237,14 +265,19 @@ def _wrist_camera(
         @ np.asarray(frame["extrinsics"][name], np.float64)
         for frame in frames
     ]
-    T = pose(np.mean([T[:3, 3] for T in in_hand], axis=0), in_hand[0][:3, :3])
+    return pose(np.mean([T[:3, 3] for T in in_hand], axis=0), in_hand[0][:3, :3])
+
+
+def wrist_camera(name: str, arm: int, entry: Mapping[str, Any], T_cam_in_grasp: Array, method: str) -> dict[str, Any]:
+    """Return the entry of a wrist camera with its pose (4, 4) in `grasp_site`, m. `arm` is 0 for the left arm."""
+    T = T_cam_in_grasp
     upside_down = name == _UPSIDE_DOWN_CAMERA
     hand_eye = _transform_json(T @ _HALF_TURN if upside_down else T)
     return {
         "type": "hand_eye",
         **entry,
         "arm": _ARM_SIDES[arm],
-        "hand_eye_calibration": {**hand_eye, "method": "sim", "upside_down": upside_down},
+        "hand_eye_calibration": {**hand_eye, "method": method, "upside_down": upside_down},
         "extrinsics": {**_transform_json(T), "reference_frame": f"{_ARM_SIDES[arm]}_grasp_site"},
     }
 
