@@ -45,7 +45,7 @@ EFFECTS: dict[str, dict[str, Any]] = {
     "exposure_ms: 60": {"exposure_ms": 60, "shutter_samples": 12},
     "readout_ms: 64": {"readout_ms": 64, "shutter_samples": 16},
     "delay_frames: 2": {"delay_frames": 2},
-    "all: wide_fisheye": {"like": "wide_fisheye"},
+    "crop, letterbox: 1.6": {"crop": [0.2, 0.2, 0.9, 0.9], "letterbox": 1.6},
 }
 PRESETS = ("d405", "zed_mini", "wide_fisheye")
 

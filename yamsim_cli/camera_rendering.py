@@ -14,6 +14,7 @@ import copy
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import mujoco
@@ -56,10 +57,10 @@ class LensIntrinsics(Intrinsics):
 
     @classmethod
     def from_ideal(cls, ideal: Intrinsics, effects: CameraEffects) -> LensIntrinsics:
-        """Return the intrinsics of a camera with `effects` and the focal length of `ideal`."""
+        """Return the intrinsics of a camera with `effects`, whose sensor has the field of view of `ideal`."""
         model = effects.camera_model(ideal)
-        cx, cy = model.K[0][2], model.K[1][2]
-        return cls(ideal.width, ideal.height, ideal.fx, ideal.fy, cx, cy, model)
+        (fx, _, cx), (_, fy, cy), _ = model.K
+        return cls(ideal.width, ideal.height, fx, fy, cx, cy, model)
 
     def project(self, points_in_cam: ArrayLike) -> Array:
         """See `Intrinsics.project`. A point too far off the axis for the lens model lies where the pinhole has it."""
@@ -126,6 +127,7 @@ class EffectsRenderer(SceneRenderer):
             return super().render(data, camera, out)
         with self._wide_view(camera) as (renderer, warp):
             image = warp.distort_picture(renderer.render(data, camera))
+        _fill_bars(image, self._lenses[camera], 0)
         if out is None:
             return image
         out[:] = image
@@ -147,14 +149,18 @@ class EffectsRenderer(SceneRenderer):
             return super().render_geom_ids(data, camera)
         with self._wide_view(camera) as (renderer, warp):
             ids = renderer.render_geom_ids(data, camera)
-            return warp.remap(ids.astype(np.float32), cv2.INTER_NEAREST).astype(np.int32)
+            ids = warp.remap(ids.astype(np.float32), cv2.INTER_NEAREST).astype(np.int32)
+        _fill_bars(ids, self._lenses[camera], -1)
+        return ids
 
     def render_depth(self, data: mujoco.MjData, camera: str) -> NDArray[np.float32]:
         """See `SceneRenderer.render_depth`."""
         if camera not in self._lenses:
             return super().render_depth(data, camera)
         with self._wide_view(camera) as (renderer, warp):
-            return _remap_depth(warp, renderer.render_depth(data, camera))
+            depth = _remap_depth(warp, renderer.render_depth(data, camera))
+        _fill_bars(depth, self._lenses[camera], 0)
+        return depth
 
     def render_labels_and_depth(
         self, data: mujoco.MjData, camera: str, label_of_geom: Image, label_of_flex: Image
@@ -164,7 +170,10 @@ class EffectsRenderer(SceneRenderer):
             return super().render_labels_and_depth(data, camera, label_of_geom, label_of_flex)
         with self._wide_view(camera) as (renderer, warp):
             labels, depth = renderer.render_labels_and_depth(data, camera, label_of_geom, label_of_flex)
-            return warp.distort_picture(labels, nearest=True), _remap_depth(warp, depth)
+            labels, depth = warp.distort_picture(labels, nearest=True), _remap_depth(warp, depth)
+        for values in (labels, depth):
+            _fill_bars(values, self._lenses[camera], 0)
+        return labels, depth
 
     @contextlib.contextmanager
     def _wide_view(self, camera: str) -> Iterator[tuple[SceneRenderer, LensWarp]]:
@@ -269,8 +278,14 @@ def require_fixed_plates(config: RecordConfig) -> None:
         if effects and effects.has_lens:
             raise UsageError(
                 f"camera_effects give {plate.camera} a lens, but scene {config.scene.name!r} has a photo without "
-                "distortion behind it; leave out its `lens`, `distortion` and `principal_point`"
+                "distortion behind it; leave out its `lens`, `distortion`, `principal_point`, `crop` and `letterbox`"
             )
+
+
+def _fill_bars(image: NDArray[Any], effects: CameraEffects, value: int) -> None:
+    """Set the bars above, below and beside the picture in an image (height, width[, channels]) to a value, in place."""
+    left, top, right, bottom = effects.picture_box(image.shape[1], image.shape[0])
+    image[:top] = image[bottom:] = image[:, :left] = image[:, right:] = value
 
 
 def _remap_depth(warp: LensWarp, depth: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -315,7 +330,10 @@ class EffectsCamera:
 
     def expose(self, image: Image, job: AttemptJob, frame: int) -> None:
         """Apply the sensor to an image (height, width, 3) in place; the noise depends only on job, camera and frame."""
-        self._sensor.apply(image, _noise_generator(job, frame, self._number))
+        left, top, right, bottom = self._effects.picture_box(image.shape[1], image.shape[0])
+        picture = np.ascontiguousarray(image[top:bottom, left:right])
+        self._sensor.apply(picture, _noise_generator(job, frame, self._number))
+        image[top:bottom, left:right] = picture
 
 
 def _noise_generator(job: AttemptJob, frame: int, camera: int) -> Callable[[], np.random.Generator]:

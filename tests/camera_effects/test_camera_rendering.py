@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.attempts import planned
+from yamsim_cli.camera_effects.config import CameraEffects
 from yamsim_cli.camera_rendering import LensIntrinsics
 from yamsim_cli.core.attempt_data import Attempt
 from yamsim_cli.core.config.recording import RecordConfig
@@ -31,6 +32,7 @@ LENSES: dict[str, dict[str, Any]] = {
     "standard": {"distortion": [-0.25, 0.08, 0.002, -0.001, 0.0], "principal_point": [0.03, -0.02]},
     "fisheye": {"lens": "fisheye", "distortion": [0.02, -0.01, 0.0, 0.0], "principal_point": [0.01, 0.02]},
     "principal point": {"principal_point": [0.1, -0.05]},
+    "crop": {"distortion": [-0.2, 0.05, 0.0, 0.0], "crop": [0.1, 0.2, 0.8, 0.9], "letterbox": 1.2},
 }
 
 MakeSimulator = Callable[[dict[str, Any] | None], Simulator]
@@ -129,6 +131,33 @@ def test_depth_and_labels_are_those_of_rays_through_the_lens(
     assert np.mean(right) > 0.92
     assert np.mean(clear) > 0.98 and len(clear) > 40
     assert np.percentile(near, 90) < 0.002
+
+
+def test_a_crop_between_bars_is_the_same_part_of_the_whole_image(
+    make_simulator: MakeSimulator, motion: tuple[Attempt, list[Array]]
+) -> None:
+    attempt, positions = motion
+    whole = images_of(make_simulator(None), (attempt, positions[:1]))[0]
+    square = {"crop": [0.125, 0.0, 0.875, 1.0], "letterbox": 1.0}
+    image = images_of(make_simulator(square), (attempt, positions[:1]))[0]
+    np.testing.assert_allclose(image[:, 20:140].astype(int), whole[:, 20:140], atol=2)
+    noisy = images_of(make_simulator(square | {"full_well_e": 500, "exposure_ev": 1.0}), (attempt, positions[:1]))[0]
+    for each in (image, noisy):
+        assert not each[:, :20].any() and not each[:, 140:].any()
+    assert np.abs(noisy[:, 20:140].astype(int) - image[:, 20:140]).mean() > 5
+
+
+def test_bars_leave_the_picture_the_sensors_field_of_view(make_simulator: MakeSimulator) -> None:
+    plain = make_simulator(None).intrinsics(CAMERA)
+    wide = make_simulator({"letterbox": 2.0}).intrinsics(CAMERA)
+    assert wide.fy == pytest.approx(plain.fy * 80 / 120) and wide.fx == pytest.approx(wide.fy)
+    assert (wide.cx, wide.cy) == pytest.approx((plain.cx, plain.cy))
+
+
+@pytest.mark.parametrize("crop", [(0.2, 0.0, 0.2, 1.0), (0.0, 0.9, 1.0, 0.1)])
+def test_a_crop_without_area_is_refused(crop: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="crop is left, top, right, bottom"):
+        CameraEffects(crop=crop)
 
 
 @pytest.mark.slow

@@ -84,6 +84,7 @@ def test_unusable_pictures_are_refused_with_a_remedy(single: RigConfig, tmp_path
     assert (wrong.code, "degrees" in wrong.message) == (4, True)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_recorded_camera_is_found_and_checked(tmp_path: Path) -> None:
     record = ("record", "--task", "pickplace", "--rig", RIG, "--n", "4", "--size", "320x240", "--seed", "5", "--wrist")

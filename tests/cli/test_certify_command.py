@@ -88,6 +88,7 @@ def test_a_faceted_mug_passes_with_the_grasp_that_import_proposes(tmp_path: Path
 
 
 @needs_extra
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_ring_thinner_than_the_pads_reach_down_fails_when_imported_and_when_certified(tmp_path: Path) -> None:
     import trimesh

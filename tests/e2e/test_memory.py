@@ -31,6 +31,7 @@ def resident_mb(pid: int) -> float:
 
 
 @pytest.mark.render
+@pytest.mark.long
 @pytest.mark.slow
 def test_two_thousand_episodes_fit_into_memory(
     make_config: Callable[..., RecordConfig], locations: Locations, tmp_path: Path

@@ -166,7 +166,8 @@ def test_interrupted_then_resumed_gives_the_same_bytes(
         f"yamsim: interrupted: {whole} of 3 episodes are complete in {path}, {3 - whole} are left; "
         "continue with --resume"
     )
-    assert whole == (1 if second else 2)
+    # One signal may arrive before the second attempt has begun.
+    assert whole == 1 or (whole == 2 and second is None)
     assert not (path / ".lock").exists()
     assert yamsim("summarize", path, "--json").json["problems"] == []
 
@@ -182,8 +183,6 @@ def interrupted(path: Path, flags: list[str], first: signal.Signals, second: sig
     ) as process:
         assert process.stderr
         wait_for(path / "ep_000000" / "episode.json")
-        # The next attempt, which takes seconds, starts as soon as the ledger is written.
-        time.sleep(0.3)
         process.send_signal(first)
         assert process.stderr.readline().startswith("Stopping once the attempts in progress are done.")
         if second:

@@ -127,6 +127,7 @@ def test_columns_go_through_a_surface_an_even_number_of_times() -> None:
     assert len(found[2]) == 0
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @needs_extra
 def test_a_convex_decomposition_is_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

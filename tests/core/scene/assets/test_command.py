@@ -71,6 +71,7 @@ def _tiny(result, key="set"):
     return [item for item in json.loads(result.stdout)["items"] if item[key] == "tiny"]
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_fetch_reduces_what_it_fetched(run, world, monkeypatch):
     monkeypatch.setattr(reduction, "reduce_stl", lambda data, how: data)
