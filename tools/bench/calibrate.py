@@ -5,7 +5,7 @@
 Each station has one arm, its own camera, lights, table and floor, four episodes of `pickplace` with distractors (or as
 `--task` and `--episodes` say), joint offsets, a delay of the pictures and an error of the given focal length. Pictures
 have full meshes, shadows, noise, blur and JPEG; the fit renders reduced meshes without light. Seeds up to 1002 served
-development, those above did not.
+development, those above did not. A given focal length is not changed: its error is that of the planted camera file.
 """
 
 from __future__ import annotations
@@ -212,7 +212,7 @@ def summarize(rows: list[dict[str, Any]], console: Console) -> None:
     for name, error, width in (
         ("position, mm", "shift_mm", "shift_95_mm"),
         ("turn, degrees", "turn_deg", "turn_95_deg"),
-        ("focal length, %", "focal_percent", "focal_95_percent"),
+        ("focal length (the given one, unless unknown), %", "focal_percent", "focal_95_percent"),
         ("delay, ms", "delay_ms", "delay_95_ms"),
         ("joint offsets, degrees", "offset_deg", "offset_95_deg"),
     ):
