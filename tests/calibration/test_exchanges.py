@@ -55,6 +55,8 @@ def test_exchanged_wrist_cameras_are_told(station: RigConfig) -> None:
     wrong = measure_wrist_cameras([_episode(station, (1, 0))], station)
     fault = wrist_camera_fault(wrong, names)
     assert fault is not None and "seem exchanged" in fault
+    fault = wrist_camera_fault(wrong, names, are_arms_exchanged=True)
+    assert fault is not None and "exchange the names" not in fault and fault.endswith("with --swap-arms")
     one = measure_wrist_cameras([_episode(station, (0, 0))], station)
     fault = wrist_camera_fault(one, names)
     assert fault is not None and f"{station.arms[1].wrist_camera_name} seems to be on {names[0]}" in fault

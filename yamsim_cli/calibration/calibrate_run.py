@@ -27,6 +27,7 @@ from .station_fit import FitPriors, FittedCameraView, StationFit, StationProblem
 from .uncertainty import StationIntervals, estimate_intervals
 from .wrist_fit import WristOutcome, estimate_wrist_camera
 
+EXCHANGED_OVERLAP = "exchanged_overlap"  # figure of a camera whose pictures show exchanged arms
 _MIN_FRAMES = 16  # pictures; with fewer, the scatter between groups of them tells little
 _MIN_CHANGED = 0.005  # share of a picture that changes with the arms, of the median picture
 _MIN_OVERLAP = 0.25  # intersection over union of the moving bodies with what changes
@@ -175,7 +176,7 @@ class StationCalibrator:
             f"the arms are exchanged: with the other arm's joints, the best pose has an overlap of {exchanged:.2f}, as "
             f"recorded of {overlap:.2f}; import the recording with --swap-arms"
         )
-        figures = {**outcome.figures, "exchanged_overlap": exchanged}
+        figures = {**outcome.figures, EXCHANGED_OVERLAP: exchanged}
         return replace(started, outcome=replace(outcome, refusal=refusal, figures=figures))
 
     def _model(self, name: str) -> tuple[CameraModel, bool]:

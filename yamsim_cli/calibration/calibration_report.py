@@ -29,7 +29,7 @@ from ..core.markup import (
 )
 from ..core.statistics import Z95
 from ..photos.picture_overlay import blend_arms
-from .calibrate_run import CameraOutcome, StationOutcome, outline_px
+from .calibrate_run import EXCHANGED_OVERLAP, CameraOutcome, StationOutcome, outline_px
 from .calibration_file import (
     CalibratedArm,
     CalibratedCamera,
@@ -152,6 +152,7 @@ def make_report(
 ) -> dict[str, Any]:
     """Return the JSON report: the calibration, the refusal or figures of each camera, and the wrist cameras' arms."""
     arms = [arm.name for arm in rig.arms]
+    are_arms_exchanged = any(EXCHANGED_OVERLAP in one.figures for one in outcome.cameras)
     return {
         "rig": rig.name,
         "episodes": [one.name for one in outcome.episodes],
@@ -180,7 +181,7 @@ def make_report(
         "wrist_camera_moves": [
             {"name": one.name, "correlations": dict(zip(arms, one.correlations.tolist(), strict=True))} for one in moves
         ],
-        "wrist_cameras_fault": wrist_camera_fault(moves, arms),
+        "wrist_cameras_fault": wrist_camera_fault(moves, arms, are_arms_exchanged=are_arms_exchanged),
         "joint_offsets_rad": {arm.name: arm.offsets.tolist() for arm in calibration.arms} if calibration else {},
         "frames": frame_residuals(outcome),
         "calibration": calibration.model_dump(mode="json") if calibration else None,
