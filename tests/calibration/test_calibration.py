@@ -14,7 +14,7 @@ from yamsim_cli.calibration.calibration_file import (
     calibration_text,
     load_calibration,
 )
-from yamsim_cli.calibration.calibration_report import require_agreement
+from yamsim_cli.calibration.calibration_report import require_agreement, write_results
 from yamsim_cli.calibration.chosen_frames import (
     BackgroundPicture,
     compare_with_background,
@@ -128,3 +128,12 @@ def test_the_overlap_is_largest_at_the_true_pose() -> None:
     best = mask_overlap(views, K, truth)
     assert best > 0.7
     assert max(mask_overlap(views, K, truth + pose(shift) - np.eye(4)) for shift in ((0.05, 0, 0), (0, 0.05, 0))) < best
+
+
+def test_a_refusal_leaves_no_calibration_of_an_earlier_run(tmp_path: Path) -> None:
+    written = write_results(tmp_path, {"rig": "single"}, "page", _calibration(0.0))
+    assert sorted(tmp_path.iterdir()) == sorted(written)
+    assert "position" in (tmp_path / "calibration.yaml").read_text()
+    again = write_results(tmp_path, {"rig": "single"}, "page", None)
+    assert sorted(tmp_path.iterdir()) == sorted(again)
+    assert [file.name for file in again] == ["calibration.json", "calibration.html"]

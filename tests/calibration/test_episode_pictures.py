@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from tests.real.recordings.foreign import FILM_EVERY, grey_of, write_lerobot_v3, write_mcap
-from tests.real.recordings.making import swinging
-from yamsim_cli.calibration.episode_pictures import camera_names, read_episode_pictures
+from tests.real.recordings.making import full_opening, in_degrees, swinging
+from yamsim_cli.calibration.episode_pictures import EpisodePictures, camera_names, other_rigs, read_episode_pictures
 from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.recorded_motion import RecordedMotion
 
@@ -41,3 +42,21 @@ def test_a_recording_gives_its_pictures_and_joints(
         if every is not None:
             assert abs(float(image.mean()) - grey_of(2)) < 3
             np.testing.assert_allclose(pictures.times[2], motion.times[2 * every], atol=0.02)
+
+
+def test_joints_in_degrees_are_refused_with_a_remedy(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
+    motion = in_degrees(swinging(station, 0.6), full_opening(station))
+    recording = write_lerobot_v3(tmp_path / "recording", motion, station)
+    with pytest.raises(DatasetError, match=r"are these degrees\? If so, import it with --degrees"):
+        read_episode_pictures([recording], station, locations)
+
+
+def test_episodes_of_another_rig_are_told() -> None:
+    def recorded_with(rig: str | None) -> EpisodePictures:
+        return EpisodePictures(f"of {rig}", np.zeros(2), (), (), {}, rig)
+
+    assert other_rigs([recorded_with("single"), recorded_with(None)], "single") is None
+    line = other_rigs([recorded_with("single"), recorded_with("bimanual")], "single")
+    assert line is not None and line.startswith(
+        "1 of 2 episodes, such as of bimanual, were recorded with rig 'bimanual'"
+    )

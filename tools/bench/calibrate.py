@@ -5,7 +5,7 @@
 Each station has one arm, its own camera, lights, table and floor, four episodes of `pickplace` with distractors (or as
 `--task` and `--episodes` say), joint offsets, a delay of the pictures and an error of the given focal length. Pictures
 have full meshes, shadows, noise, blur and JPEG; the fit renders reduced meshes without light. Seeds up to 1002 served
-development, those above did not.
+development, those above did not. A given focal length is not changed: its error is that of the planted camera file.
 """
 
 from __future__ import annotations
@@ -49,11 +49,12 @@ QUALITY = {
 
 @dataclass(frozen=True)
 class Planted:
-    """The truth of a station: camera in the base (4, 4), joint offsets (dof,), rad, and delay, s."""
+    """The truth of a station: camera in the base (4, 4), joint offsets (dof,), rad, delay, s, and focal length, px."""
 
     T_cam_in_base: Array
     offsets: Array
     delay: float
+    focal: float
 
 
 def scene_of(rng: np.random.Generator) -> dict[str, Any]:
@@ -127,7 +128,8 @@ def record_station(seed: int, folder: Path, size: str, task: str, episodes: int)
     offsets = rng.uniform(-MAX_OFFSET, MAX_OFFSET, 6)
     delay = float(rng.uniform(0, MAX_DELAY))
     first = load_frame(next((folder / "clean").glob("ep_*/lowdim/*.pkl")).read_bytes())
-    K = np.asarray(first["intrinsics"][CAMERA], dtype=np.float64)
+    K = np.array(first["intrinsics"][CAMERA], dtype=np.float64)
+    focal = float(K[0, 0])
     K[[0, 1], [0, 1]] *= 1 + FOCAL_ERROR * rng.standard_normal()
     width, height = map(int, size.split("x"))
     camera = {"width": width, "height": height, "K": K.tolist()}
@@ -136,7 +138,7 @@ def record_station(seed: int, folder: Path, size: str, task: str, episodes: int)
         _spoil(episode, folder / "episodes" / episode.name, offsets, delay, rng)
     # The offset of the first joint turns the base in which the measured joints are true.
     T = np.asarray(first["extrinsics"][CAMERA], dtype=np.float64)
-    return Planted(pose(rotation=rotation_z(float(offsets[0]))) @ T, offsets, delay)
+    return Planted(pose(rotation=rotation_z(float(offsets[0]))) @ T, offsets, delay, focal)
 
 
 def _spoil(clean: Path, out: Path, offsets: Array, delay: float, rng: np.random.Generator) -> None:
@@ -191,6 +193,8 @@ def calibrate_station(
         "shift_95_mm": found["position_95_mm"],
         "turn_deg": np.degrees(rotation_vector(T[:3, :3] @ truth[:3, :3].T)).tolist(),
         "turn_95_deg": found["rotation_95_deg"],
+        "focal_percent": 100 * (found["K"][0][0] / planted.focal - 1),
+        "focal_95_percent": found["focal_95_percent"],
         "delay_ms": found["delay_ms"] - 1000 * planted.delay,
         "delay_95_ms": found["delay_95_ms"],
         "offset_deg": (np.array(arm["joint_offsets_deg"]) - np.degrees(planted.offsets))[1:].tolist(),
@@ -208,6 +212,7 @@ def summarize(rows: list[dict[str, Any]], console: Console) -> None:
     for name, error, width in (
         ("position, mm", "shift_mm", "shift_95_mm"),
         ("turn, degrees", "turn_deg", "turn_95_deg"),
+        ("focal length (the given one, unless unknown), %", "focal_percent", "focal_95_percent"),
         ("delay, ms", "delay_ms", "delay_95_ms"),
         ("joint offsets, degrees", "offset_deg", "offset_95_deg"),
     ):
@@ -247,11 +252,11 @@ def main() -> None:
             truth = folder / "truth.json"
             if truth.is_file():
                 known = json.loads(truth.read_text())
-                planted = Planted(np.array(known["T"]), np.array(known["offsets"]), known["delay"])
+                planted = Planted(np.array(known["T"]), np.array(known["offsets"]), known["delay"], known["focal"])
             else:
                 planted = record_station(seed, folder, options.size, options.task, options.episodes)
                 known = {"T": planted.T_cam_in_base.tolist(), "offsets": planted.offsets.tolist()}
-                truth.write_text(json.dumps({**known, "delay": planted.delay}))
+                truth.write_text(json.dumps({**known, "delay": planted.delay, "focal": planted.focal}))
             limits = options.max_shift, options.max_turn
             row = calibrate_station(folder, planted, options.frames, not options.unknown_focal, limits) | {"seed": seed}
             rows.append(row)

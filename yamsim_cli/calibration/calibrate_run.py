@@ -21,12 +21,13 @@ from ..photos.overlay.body_views import BodyRenderer
 from .calibration_file import Calibration
 from .camera_views import PreparedCamera, prepare_camera, with_clean_backgrounds
 from .episode_pictures import EpisodePictures
-from .exchanges import exchange_arms, has_two_equal_arms
+from .exchanges import WristCameraMoves, exchange_arms, has_two_equal_arms, wrist_camera_fault
 from .pose_search import Hypothesis, mask_overlap, search_poses
 from .station_fit import FitPriors, FittedCameraView, StationFit, StationProblem, StationState, start_state
 from .uncertainty import StationIntervals, estimate_intervals
 from .wrist_fit import WristOutcome, estimate_wrist_camera
 
+EXCHANGED_OVERLAP = "exchanged_overlap"  # figure of a camera whose pictures show exchanged arms
 _MIN_FRAMES = 16  # pictures; with fewer, the scatter between groups of them tells little
 _MIN_CHANGED = 0.005  # share of a picture that changes with the arms, of the median picture
 _MIN_OVERLAP = 0.25  # intersection over union of the moving bodies with what changes
@@ -133,14 +134,26 @@ class StationCalibrator:
         progress(len(started) + 1, len(started) + 1)
         return outcome
 
-    def estimate_wrist_cameras(self) -> list[WristOutcome]:
-        """Return the poses on the flange of the wrist cameras that were asked for. Raise UsageError without K."""
+    def estimate_wrist_cameras(self, moves: Sequence[WristCameraMoves]) -> list[WristOutcome]:
+        """Return the poses on the flange of the wrist cameras that were asked for.
+
+        Both grippers look alike, so a camera of the other arm fits as well as the right one. It is refused by `moves`,
+        which says with which arm its pictures change.
+
+        Raises:
+            UsageError: a camera has no camera matrix.
+        """
+        arms = [arm.name for arm in self._rig.arms]
+        faults = {one.name: wrist_camera_fault([one], arms) for one in moves}
         limits = self._request.max_shift, self._request.max_turn
         found = []
         for name in self._request.wrist_cameras:
             model, known = self._model(name)
             if not known:
                 raise UsageError(f"--camera {name}: a wrist camera needs its calibration; give --camera {name}=FILE")
+            if fault := faults.get(name):
+                found.append(WristOutcome(name, model, None, fault.removeprefix(f"{name} ")))
+                continue
             found.append(estimate_wrist_camera(name, model, self._rig, self._episodes, self._surroundings, limits))
         return found
 
@@ -163,7 +176,7 @@ class StationCalibrator:
             f"the arms are exchanged: with the other arm's joints, the best pose has an overlap of {exchanged:.2f}, as "
             f"recorded of {overlap:.2f}; import the recording with --swap-arms"
         )
-        figures = {**outcome.figures, "exchanged_overlap": exchanged}
+        figures = {**outcome.figures, EXCHANGED_OVERLAP: exchanged}
         return replace(started, outcome=replace(outcome, refusal=refusal, figures=figures))
 
     def _model(self, name: str) -> tuple[CameraModel, bool]:
@@ -243,8 +256,8 @@ class StationCalibrator:
         if share < _MIN_FOUND:
             refusal = (
                 f"the outlines of the arms meet the picture's edges at {share:.0%} of their points, at least "
-                f"{_MIN_FOUND:.0%} are needed: is the rig's arm and gripper the one in the pictures, and is the "
-                "camera's calibration correct?"
+                f"{_MIN_FOUND:.0%} are needed: are joints and pictures of the same episodes, are the rig's arm and "
+                "gripper those in the pictures, and is the camera's calibration correct?"
             )
         elif len(fits) > 1 and found_share(fits[1]) > found_share(fits[0]) - _RIVAL and _is_other_pose(*fits):
             refusal = (

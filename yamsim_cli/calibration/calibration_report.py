@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,8 @@ import numpy as np
 
 from ..core.config.rig import RigConfig
 from ..core.errors import DatasetError, PartialJobError, SimulationError
+from ..core.files.documents.json_text import json_text
+from ..core.files.writing import write_outputs
 from ..core.geometry.camera import CameraModel
 from ..core.geometry.se3 import Array, invert_pose, quat_from_rotation, rotation_vector
 from ..core.images.jpeg import encode_jpeg
@@ -27,8 +29,15 @@ from ..core.markup import (
 )
 from ..core.statistics import Z95
 from ..photos.picture_overlay import blend_arms
-from .calibrate_run import CameraOutcome, StationOutcome, outline_px
-from .calibration_file import CalibratedArm, CalibratedCamera, CalibratedWristCamera, Calibration, Numbers3
+from .calibrate_run import EXCHANGED_OVERLAP, CameraOutcome, StationOutcome, outline_px
+from .calibration_file import (
+    CalibratedArm,
+    CalibratedCamera,
+    CalibratedWristCamera,
+    Calibration,
+    Numbers3,
+    calibration_text,
+)
 from .exchanges import WristCameraMoves, wrist_camera_fault
 from .station_fit import FitPriors, StationFit
 from .uncertainty import PoseInterval, StationIntervals, is_measured
@@ -142,6 +151,7 @@ def make_report(
 ) -> dict[str, Any]:
     """Return the JSON report: the calibration, the refusal or figures of each camera, and the wrist cameras' arms."""
     arms = [arm.name for arm in rig.arms]
+    are_arms_exchanged = any(EXCHANGED_OVERLAP in one.figures for one in outcome.cameras)
     return {
         "rig": rig.name,
         "episodes": [one.name for one in outcome.episodes],
@@ -170,7 +180,7 @@ def make_report(
         "wrist_camera_moves": [
             {"name": one.name, "correlations": dict(zip(arms, one.correlations.tolist(), strict=True))} for one in moves
         ],
-        "wrist_cameras_fault": wrist_camera_fault(moves, arms),
+        "wrist_cameras_fault": wrist_camera_fault(moves, arms, are_arms_exchanged=are_arms_exchanged),
         "joint_offsets_rad": {arm.name: arm.offsets.tolist() for arm in calibration.arms} if calibration else {},
         "frames": frame_residuals(outcome),
         "calibration": calibration.model_dump(mode="json") if calibration else None,
@@ -379,3 +389,23 @@ def _offset_text(arm: CalibratedArm) -> str:
 def output_files(folder: Path) -> Sequence[Path]:
     """Return the files that a calibration writes."""
     return [folder / name for name in (CALIBRATION_FILE, REPORT_FILE, PAGE_FILE)]
+
+
+def write_results(
+    folder: Path, report: Mapping[str, Any], page: str, calibration: Calibration | None
+) -> Sequence[Path]:
+    """Write the files of a calibration, and return them, the page last.
+
+    Without a calibration, an earlier `calibration.yaml` in the folder is removed: it does not belong to this report.
+
+    Raises:
+        ResourceError: the folder cannot be written.
+    """
+    yaml_file, report_file, page_file = output_files(folder)
+    files = {report_file: json_text(report).encode(), page_file: page.encode()}
+    if calibration is not None:
+        files = {yaml_file: calibration_text(calibration).encode(), **files}
+    write_outputs(files, make_folder=True)
+    if calibration is None:
+        yaml_file.unlink(missing_ok=True)
+    return list(files)

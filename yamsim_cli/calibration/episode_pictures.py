@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from ..core.images.image import Image
 from ..core.images.image_files import decode_image
 from ..core.recorded_motion import RecordedMotion
 from ..photos.overlay.joint_files import ArmPostures
-from ..real.recordings.motion_faults import find_faults, require_units
+from ..real.recordings.motion_faults import MotionFault, find_faults, require_units
 from ..real.recordings.motion_reading import detect_format, format_reader, read_episode
 from ..real.recordings.recording import Recording
 
@@ -50,6 +50,7 @@ class EpisodePictures:
         joints: by arm, in the rig's order, (n, dof), rad, without the rig's encoder offsets.
         openings: of one finger by arm (n,), m.
         cameras: name -> pictures.
+        rig: name of the rig that an episode of yamsim was recorded or imported with; None for other recordings.
     """
 
     name: str
@@ -57,6 +58,7 @@ class EpisodePictures:
     joints: tuple[Array, ...]
     openings: tuple[Array, ...]
     cameras: Mapping[str, TimedPictures]
+    rig: str | None = None
 
     def postures_at(self, time: float, offsets: Sequence[Array] | None = None) -> ArmPostures:
         """Return the arms' postures at a time, s; `offsets` (dof,) by arm are subtracted.
@@ -119,7 +121,7 @@ def _from_stored(episode: RecordedEpisode, rig: RigConfig) -> EpisodePictures:
     for name in episode.record.cameras:
         K = None if matrices.get(name) is None else np.asarray(matrices[name], dtype=np.float64)
         cameras[name] = TimedPictures(times - times[0], functools.partial(_read_stored, episode, name), K)
-    return _episode_pictures(read_episode(episode, rig), rig, cameras)
+    return replace(_episode_pictures(read_episode(episode, rig), rig, cameras), rig=episode.record.rig)
 
 
 def _read_stored(episode: RecordedEpisode, camera: str, indices: Sequence[int]) -> list[Image]:
@@ -156,7 +158,12 @@ def _decode(data: bytes, where: str) -> Image:
 
 
 def _episode_pictures(motion: RecordedMotion, rig: RigConfig, cameras: Mapping[str, TimedPictures]) -> EpisodePictures:
-    require_units(motion.name, find_faults(motion, rig))
+    faults = find_faults(motion, rig)
+    for fault in faults:
+        if fault.fault is MotionFault.DEGREES:
+            remedy = "If so, import it with --degrees, and calibrate the dataset"
+            raise DatasetError(f"{motion.name}: {fault.text} {remedy}")
+    require_units(motion.name, faults)
     known = np.logical_and.reduce([np.isfinite(arm.joints).all(axis=1) for arm in motion.arms])
     joints: dict[int, Array] = {}
     openings: dict[int, Array] = {}
@@ -177,6 +184,18 @@ def _episode_pictures(motion: RecordedMotion, rig: RigConfig, cameras: Mapping[s
         tuple(joints[k] for k in order),
         tuple(openings[k] for k in order),
         cameras,
+    )
+
+
+def other_rigs(episodes: Sequence[EpisodePictures], rig: str) -> str | None:
+    """Return a line about episodes of yamsim that name another rig than `rig`; None if there are none."""
+    others = [one for one in episodes if one.rig not in (None, rig)]
+    if not others:
+        return None
+    names = ", ".join(sorted({repr(one.rig) for one in others}))
+    return (
+        f"{len(others)} of {len(episodes)} episodes, such as {others[0].name}, were recorded with rig {names}, and "
+        f"--rig is {rig!r}: if its arms or grippers differ, the result is wrong; give the rig of the pictures"
     )
 
 

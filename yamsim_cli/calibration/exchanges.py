@@ -106,13 +106,23 @@ def rank_correlations(changes: Array, moves: Array) -> Array:
     return np.array(found)
 
 
-def wrist_camera_fault(cameras: Sequence[WristCameraMoves], arm_names: Sequence[str]) -> str | None:
-    """Return a line about wrist cameras whose pictures change with the other arm; None if there are none."""
+def wrist_camera_fault(
+    cameras: Sequence[WristCameraMoves], arm_names: Sequence[str], *, are_arms_exchanged: bool = False
+) -> str | None:
+    """Return a line about wrist cameras whose pictures change with the other arm; None if there are none.
+
+    `are_arms_exchanged` says that a fixed camera shows exchanged joints, which explain this too.
+    """
     wrong = [one for one in cameras if one.is_on_other_arm]
     if not wrong:
         return None
     if len(wrong) == 2:
         names = " and ".join(one.name for one in wrong)
+        if are_arms_exchanged:
+            return (
+                f"the pictures of {names} change when the other's arm moves: like the fixed cameras, they show that "
+                "the arms' joints are exchanged; import the recording with --swap-arms"
+            )
         return (
             f"{names} seem exchanged: each one's pictures change when the other's arm moves; exchange the names of the "
             "cameras or, if the fixed cameras are refused too, the arms' joints (import --swap-arms)"

@@ -73,7 +73,7 @@ def calibrate(
     where = session_opener.choose_gl_backend(where)
 
     from yamsim_cli.calibration.calibrate_run import StationCalibrator
-    from yamsim_cli.calibration.calibration_file import calibration_text, load_calibration
+    from yamsim_cli.calibration.calibration_file import load_calibration
     from yamsim_cli.calibration.calibration_report import (
         make_calibration,
         make_report,
@@ -83,21 +83,21 @@ def calibrate(
         result_lines,
         wrist_lines,
         write_page,
+        write_results,
     )
-    from yamsim_cli.calibration.episode_pictures import read_episode_pictures
+    from yamsim_cli.calibration.episode_pictures import other_rigs, read_episode_pictures
     from yamsim_cli.calibration.exchanges import measure_wrist_cameras
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.rendering import RenderConfig
     from yamsim_cli.core.config.scene import SceneConfig
-    from yamsim_cli.core.files.documents.json_text import json_text
-    from yamsim_cli.core.files.writing import write_outputs
     from yamsim_cli.core.scene.compose import rig_mesh_sets
 
-    yaml_file, report_file, page_file = output_files(out)
-    require_unused_paths("--out", [yaml_file, report_file, page_file], overwrite=overwrite)
+    require_unused_paths("--out", output_files(out), overwrite=overwrite)
     earlier = near or check
     given = load_calibration(earlier, where).for_rig(settings, str(earlier)) if earlier else None
     found = read_episode_pictures(episodes, settings, where, mapping)
+    if difference := other_rigs(found, settings.name):
+        print_note(difference)
     request = _make_request(camera, found, settings, where, (frames, max_shift / 1000, math.radians(max_turn)))
     request = request.with_near(given)
     scene = load_config(SceneConfig, "scenes", "studio", where)
@@ -105,17 +105,13 @@ def calibrate(
     where = session_opener.with_mesh_folders(where, rig_mesh_sets(settings))
     with ExitStack() as stack, progress_bar("calibration", "cameras") as advance:
         calibrator = StationCalibrator(settings, found, request, (scene, quality, where), stack)
-        wrists = calibrator.estimate_wrist_cameras()
+        moves = measure_wrist_cameras(found, settings)
+        wrists = calibrator.estimate_wrist_cameras(moves)
         outcome = calibrator.run(advance)
         calibration = make_calibration(settings, outcome, wrists)
-        report = make_report(settings, outcome, calibration, measure_wrist_cameras(found, settings), wrists)
-        files = {
-            report_file: json_text(report).encode(),
-            page_file: write_page(settings, outcome, calibration).encode(),
-        }
-    if calibration is not None:
-        files[yaml_file] = calibration_text(calibration).encode()
-    write_outputs(files, make_folder=True)
+        report = make_report(settings, outcome, calibration, moves, wrists)
+        page = write_page(settings, outcome, calibration)
+    files = write_results(out, report, page, calibration)
     if fault := report["wrist_cameras_fault"]:
         print_note(fault)
     if json:
@@ -123,7 +119,7 @@ def calibrate(
     else:
         for line in (*result_lines(outcome, calibration), *wrist_lines(wrists)):
             print_line(line)
-        print_line(f"{len(files)} files, such as {page_file}")
+        print_line(f"{len(files)} files, such as {files[-1]}")
     if check is not None and given is not None and calibration is not None:
         require_agreement(given, calibration)
     raise_for_refusals(outcome, wrists)
