@@ -25,6 +25,7 @@ FLOORS: dict[str, int] = {
     "core.markup": 2,
     "core.recorded_motion": 2,
     "camera_effects": 2,
+    "correction_record": 2,
     "disturbances": 2,
     "procedural": 2,
     "scene_photos": 2,
@@ -65,6 +66,7 @@ FLOORS: dict[str, int] = {
     # Code that joins wings, and entry points of users.
     "agent_server": 11,
     "calibration": 11,
+    "corrections": 11,
     "camera_reader": 11,
     "doctor": 11,
     "gap_photos": 11,

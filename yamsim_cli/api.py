@@ -88,7 +88,9 @@ def record(
     return run(session, output, executors, watch, StopRequest())
 
 
-def open_dataset(path: str | Path, *, selection: str | Path | None = None) -> StoredEpisodes:
+def open_dataset(
+    path: str | Path, *, selection: str | Path | None = None, who: Literal["expert", "policy"] | None = None
+) -> StoredEpisodes:
     """Return the episodes of a dataset as a sequence, with `len`, indices, slices and iteration.
 
     Each episode has `record`, `frames()` and `image(camera, number)`. The list of episodes is read immediately, and the
@@ -97,19 +99,25 @@ def open_dataset(path: str | Path, *, selection: str | Path | None = None) -> St
     Args:
         selection: a selection file of `yamsim review`. Episodes that it drops are left out. Of a trimmed episode,
             `record.frames`, `frames()` and `image` are those of the kept part; timestamps are as recorded.
+        who: keeps, in the same way, only the frames in which the expert acts, or the policy that `yamsim correct` ran.
+            Demonstrations are the expert's.
 
     Raises:
-        DatasetError: `path` has no dataset, or the selection belongs to other episodes.
+        DatasetError: `path` has no dataset, the selection belongs to other episodes, or no frame is left.
         ConfigError: the selection is invalid.
     """
     from .core.dataset.reader import open_episodes
 
     episodes = open_episodes(Path(path))
-    if selection is None:
+    if selection is None and who is None:
         return episodes
-    from .selection import apply_selection, open_selected
+    from .selection import apply_selection, open_selected, select_actor
 
-    return open_selected(episodes, apply_selection(Path(path), Path(selection)))
+    applied = None if selection is None else apply_selection(Path(path), Path(selection))
+    if who is not None:
+        applied = select_actor(Path(path), who, applied)
+    assert applied is not None
+    return open_selected(episodes, applied)
 
 
 def evaluate(

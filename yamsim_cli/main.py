@@ -18,6 +18,7 @@ from .commands import assets, config, export, robots, tasks
 from .commands.boards import boards
 from .commands.calibrate import calibrate
 from .commands.compose_xml import compose_xml
+from .commands.correct import correct
 from .commands.derive import filter_dataset, merge, split
 from .commands.doctor import doctor
 from .commands.draw import draw
@@ -60,6 +61,7 @@ app.command()(merge)
 app.command()(split)
 app.command("filter")(filter_dataset)
 app.command("eval")(evaluate)
+app.command()(correct)
 app.command("serve-policy")(serve_policy)
 app.command("serve-robot")(serve_robot)
 app.command("can-run")(run_can_program)

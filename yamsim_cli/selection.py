@@ -17,15 +17,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from .core.dataset.dataset_paths import EPISODE_FILE, episode_directories, episode_name
 from .core.dataset.reader import RecordedEpisode, StoredEpisode, StoredEpisodes, open_episode, open_recorded_episode
-from .core.errors import ConfigError, DatasetError, count_noun
+from .core.dataset.records import EpisodeRecord
+from .core.errors import ConfigError, DatasetError, UsageError, count_noun
 from .core.files.documents.yaml_document import parse_yaml
 from .core.files.writing import sha256_file, write_file
 
@@ -41,6 +42,7 @@ _LINE_START = "- "  # of the line of an episode
 E = TypeVar("E", bound=RecordedEpisode)
 M = TypeVar("M", bound=BaseModel)
 Decision = Literal["keep", "drop", "undecided"]
+Actor = Literal["expert", "policy"]
 
 
 def _require_one_line(text: str) -> str:
@@ -207,27 +209,29 @@ class AppliedSelection:
     """A selection that fits the episodes of a dataset.
 
     Attributes:
-        path: the selection file.
+        path: the selection file; None if only `who` selects.
         sha256: hash of that file.
         kept: numbers of the episodes that stay.
         decisions: episode number -> decision.
         trims: episode number -> first and last recorded frame that stay, for trimmed kept episodes.
         dropped: number of episodes that a person dropped.
         undecided: number of episodes without a decision that are left out.
+        who: the actor whose frames stay, see `select_actor`; None for all.
     """
 
-    path: Path
-    sha256: str
+    path: Path | None
+    sha256: str | None
     kept: frozenset[int]
     decisions: Mapping[int, EpisodeDecision]
     trims: Mapping[int, tuple[int, int]]
     dropped: int
     undecided: int
+    who: Actor | None = None
 
     def report(self) -> dict[str, Any]:
         """Return what the selection keeps and leaves out, as JSON data."""
-        return {
-            "file": str(self.path),
+        return ({"who": self.who} if self.who else {}) | {
+            "file": str(self.path) if self.path else None,
             "sha256": self.sha256,
             "kept": len(self.kept),
             "dropped": self.dropped,
@@ -277,6 +281,43 @@ def apply_selection(dataset: Path, path: Path) -> AppliedSelection:
     }
     undecided = len(directories) - len(kept) - dropped
     return AppliedSelection(path, sha256_file(path), kept, selection.decisions, trims, dropped, undecided)
+
+
+def select_actor(dataset: Path, who: Actor, selection: AppliedSelection | None = None) -> AppliedSelection:
+    """Return a selection of only the frames in which the expert or the policy acts.
+
+    In an episode of `yamsim correct`, the policy acts before the takeover, and the expert from there on. In all other
+    episodes, every frame is a demonstration and counts as the expert's. Episodes of which no frame is left are left
+    out.
+
+    Args:
+        selection: decisions of a person, which apply too.
+
+    Raises:
+        DatasetError: the dataset has recordings of real arms, or no frame is left.
+        UsageError: `who` is no actor.
+    """
+    if who not in get_args(Actor):
+        raise UsageError(f"who={who!r} is not valid: give {' or '.join(get_args(Actor))}")
+    kept, trims = set[int](), dict[int, tuple[int, int]]()
+    for number, directory in episode_directories(dataset) if dataset.is_dir() else ():
+        if selection and number not in selection.kept:
+            continue
+        record = open_recorded_episode(directory).record
+        if not isinstance(record, EpisodeRecord):
+            raise DatasetError(f"{dataset} holds recordings of real arms, which do not say who acted; leave `who` out")
+        taken = record.correction.frame if record.correction else 0
+        first, last = (taken, record.frames - 1) if who == "expert" else (0, taken - 1)
+        cut = selection.trims.get(number) if selection else None
+        if cut:
+            first, last = max(first, cut[0]), min(last, cut[1])
+        if first <= last:
+            kept.add(number)
+            trims[number] = first, last
+    if not kept:
+        raise DatasetError(f"{dataset} has no frame in which the {who} acts; give another dataset, or leave `who` out")
+    chosen = selection or AppliedSelection(None, None, frozenset(), {}, {}, 0, 0)
+    return replace(chosen, kept=frozenset(kept), trims=trims, who=who)
 
 
 def require_current(selection: Selection, dataset: Path, directories: Mapping[int, Path], path: Path) -> None:

@@ -60,6 +60,7 @@ NOT_RUN = {
     r"^yamsim mcp\b": "an agent's program starts it, as tests/cli/test_mcp_command.py does",
     r"--selection dataset/selection.yaml|^yamsim review --merge": "a person decides first; see tests/test_selection.py",
     r"^yamsim review --diff": "it needs other datasets; tests/review/test_dataset_diff.py has some",
+    r"^yamsim correct\b|--who\b": "tests/corrections records, merges and reads such a dataset",
     r"^yamsim (merge|split)\b": "it needs other datasets; tests/datasets/test_derive.py has some",
     r"picture_policy": "it needs PyTorch, with which tests/test_picture_policy.py runs these lines in miniature",
     r"^pip install\b": "it would change this environment; what is missing skips the test",

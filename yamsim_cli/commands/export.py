@@ -7,7 +7,7 @@ import typer
 
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError, count_noun
 from yamsim_cli.flags.output_files import RenameExisting
-from yamsim_cli.flags.selection_file import SelectionFile, selection_of
+from yamsim_cli.flags.selection_file import SelectionFile, Who, selection_of
 from yamsim_cli.flags.session_options import Json, Offline, Revision, session_opener
 from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
 
@@ -95,6 +95,7 @@ def raiden(
     actions: RealActions = None,
     episodes: Episodes = None,
     selection: SelectionFile = None,
+    who: Who = None,
     overwrite: RenameExisting = False,
     offline: Offline = False,
     json: Json = False,
@@ -109,7 +110,7 @@ def raiden(
     if fps == "source" and pictures:
         raise UsageError(f"--pictures {pictures} needs other times than the recorded ones: leave out --fps source")
     options = RaidenOptions(_parse_fps(fps), pictures or "draw", images, single, hand_frame)
-    chosen = selection_of(dataset, selection)
+    chosen = selection_of(dataset, selection, who)
     if is_imported_dataset(dataset):
         if pictures == "draw":
             raise UsageError(f"--pictures draw: {dataset} is real, and only recorded pictures can be exported")
@@ -181,6 +182,7 @@ def lerobot(
     ] = True,
     episodes: Episodes = None,
     selection: SelectionFile = None,
+    who: Who = None,
     overwrite: RenameExisting = False,
     json: Json = False,
 ) -> None:
@@ -190,7 +192,7 @@ def lerobot(
 
     Example: yamsim export lerobot dataset/ lerobot_dataset/
     """
-    source = _open_dataset(dataset, episodes, selection, fps, actions)
+    source = _open_dataset(dataset, episodes, selection, who, fps, actions)
 
     from yamsim_cli.export.export_source import RealSource
     from yamsim_cli.export.lerobot import export_lerobot, export_real_lerobot
@@ -221,6 +223,7 @@ def maker(
     workers: Encoders = 2,
     episodes: Episodes = None,
     selection: SelectionFile = None,
+    who: Who = None,
     overwrite: RenameExisting = False,
     json: Json = False,
 ) -> None:
@@ -228,7 +231,7 @@ def maker(
 
     Example: yamsim export maker dataset/ maker_episodes/
     """
-    source = _open_dataset(dataset, episodes, selection, fps, actions)
+    source = _open_dataset(dataset, episodes, selection, who, fps, actions)
 
     from yamsim_cli.export.maker import export_maker
 
@@ -252,6 +255,7 @@ def abc(
     workers: Encoders = 2,
     episodes: Episodes = None,
     selection: SelectionFile = None,
+    who: Who = None,
     overwrite: RenameExisting = False,
     json: Json = False,
 ) -> None:
@@ -259,7 +263,7 @@ def abc(
 
     Example: yamsim export abc dataset/ abc_release/
     """
-    source = _open_dataset(dataset, episodes, selection, actions=actions)
+    source = _open_dataset(dataset, episodes, selection, who, actions=actions)
 
     from yamsim_cli.export.abc import export_abc
 
@@ -293,6 +297,7 @@ def mp4(
     fps: RealFps = None,
     episodes: Episodes = None,
     selection: SelectionFile = None,
+    who: Who = None,
     overwrite: RenameExisting = False,
     json: Json = False,
 ) -> None:
@@ -300,7 +305,7 @@ def mp4(
 
     Example: yamsim export mp4 dataset/ videos/
     """
-    source = _open_dataset(dataset, episodes, selection, fps)
+    source = _open_dataset(dataset, episodes, selection, who, fps)
 
     from yamsim_cli.export.videos import export_mp4, export_sheet
 
@@ -318,6 +323,7 @@ def rerun(
     out: Out,
     episodes: Episodes = None,
     selection: SelectionFile = None,
+    who: Who = None,
     overwrite: RenameExisting = False,
     json: Json = False,
 ) -> None:
@@ -325,7 +331,7 @@ def rerun(
 
     Example: yamsim export rerun dataset/ rrd/ --episodes 0-9
     """
-    source = _open_dataset(dataset, episodes, selection)
+    source = _open_dataset(dataset, episodes, selection, who)
 
     from yamsim_cli.export.rrd import export_rerun
 
@@ -419,6 +425,7 @@ def _open_dataset(
     dataset: Path,
     episodes: str | None,
     selection: Path | None,
+    who: Literal["expert", "policy"] | None,
     fps: float | None = None,
     actions: ActionSource | None = None,
 ) -> SimulatedSource | RealSource:
@@ -427,7 +434,7 @@ def _open_dataset(
     from yamsim_cli.core.dataset.imported_records import is_imported_dataset
     from yamsim_cli.export.export_source import open_real_source, open_source
 
-    where, chosen = session_opener.find_locations(), selection_of(dataset, selection)
+    where, chosen = session_opener.find_locations(), selection_of(dataset, selection, who)
     if is_imported_dataset(dataset):
         return open_real_source(dataset, episodes, where, fps, chosen)
     _require_real("--fps", fps, dataset)

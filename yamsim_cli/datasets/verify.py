@@ -40,6 +40,7 @@ from ..core.progress import Progress
 from ..core.scene.build import describe_meshes
 from ..core.workers.executors import run_all
 from ..core.workers.process_pool import ProcessPool
+from ..correction_record import with_who
 from .compare import EpisodeComparison, ValueDifference, compare_frames, compare_values
 
 # Checks, in the order in which their differences are reported.
@@ -249,7 +250,7 @@ def reproduce_frames(
     once = compare_values(
         {"outcome": _outcome_numbers(stored, keys)}, {"outcome": _outcome_numbers(judged, keys)}, tolerance
     )
-    made: RecordedFrames = made_frames(simulator, attempt, done.recorded_states)
+    made: RecordedFrames = with_who(made_frames(simulator, attempt, done.recorded_states), episode.record.correction)
     if simulator.config.disturb is not None:
         # Replayed actions are the disturbed `sim_ctrl`; the expert's own commands cannot be computed from them.
         frames, made = (_without_keys(each, ("ctrl", ACTION)) for each in (frames, made))

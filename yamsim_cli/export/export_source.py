@@ -262,7 +262,8 @@ def open_source(
 def _select_directories(dataset: Path, episodes: str | None, selection: AppliedSelection | None) -> tuple[Path, ...]:
     chosen = select_episode_directories(dataset, episodes, None, selection.kept if selection else None)
     if not chosen and selection:
-        raise UsageError(f"--episodes {episodes}: {selection.path} keeps none of these; give others")
+        chooser = selection.path or f"--who {selection.who}"
+        raise UsageError(f"--episodes {episodes}: {chooser} keeps none of these; give others")
     return tuple(directory for _, directory in chosen)
 
 

@@ -1,9 +1,9 @@
-"""The flag `--selection`: leave out episodes that a person dropped."""
+"""The flags `--selection` and `--who`: leave out episodes that a person dropped, and frames by who acted."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -18,14 +18,24 @@ SelectionFile = Annotated[
         "--selection", metavar="FILE", help="Leave out what a person dropped: the selection.yaml of `yamsim review`."
     ),
 ]
+Who = Annotated[
+    Literal["expert", "policy"] | None,
+    typer.Option(
+        "--who", help="Only the frames in which the expert acts, or the policy, in a dataset of `yamsim correct`."
+    ),
+]
 
 
-def selection_of(dataset: Path, file: Path | None) -> AppliedSelection | None:
-    """Compare a selection with its dataset, and print what the selection leaves out; None without a file."""
-    if file is None:
+def selection_of(
+    dataset: Path, file: Path | None, who: Literal["expert", "policy"] | None = None
+) -> AppliedSelection | None:
+    """Compare a selection with its dataset, and print what the selection leaves out; None without a file and `who`."""
+    if file is None and who is None:
         return None
-    from yamsim_cli.selection import apply_selection
+    from yamsim_cli.selection import apply_selection, select_actor
 
-    applied = apply_selection(dataset, file)
-    print_note(f"{applied.summary()}.")
-    return applied
+    applied = None
+    if file is not None:
+        applied = apply_selection(dataset, file)
+        print_note(f"{applied.summary()}.")
+    return select_actor(dataset, who, applied) if who else applied

@@ -83,6 +83,15 @@ class Collector:
         """Number of episodes that are completely in the dataset."""
         return self._sink.episodes - len(self._lost_attempts)
 
+    @property
+    def remaining(self) -> int:
+        """What `describe_progress` counts, and is still missing."""
+        return self.remaining_episodes
+
+    def describe_progress(self) -> str:
+        """Return how much is complete, as a clause for messages."""
+        return f"{self.complete_episodes} of {self._config.episodes} episodes are complete"
+
     def run(self, executor: EpisodeExecutor) -> None:
         """Record until the dataset is complete. After a stop, running attempts have `_STOP_SECONDS` to finish."""
         self._report_progress()

@@ -46,19 +46,24 @@ def record(
     Raises UsageError for looks that are held out for tests of policies.
     """
     began = time.monotonic()
-    if session.config.randomization.held_out:
-        raise UsageError(
-            f"randomization {session.config.randomization.name!r} is held out for tests of policies, so nothing is "
-            "recorded with it; give another, such as looks, or test a policy with `yamsim eval --randomization`"
-        )
-    _check_certificates(session, callbacks)
-    session = with_mesh_descriptions(session)
+    session = require_recordable(session, callbacks)
     starts = functools.partial(all_starts_fail, session)
 
     def make_collector(config: RecordConfig, sink: EpisodeWriter) -> Collector:
         return Collector(config, sink, callbacks, stop, starts)
 
     return fill_dataset(session, output, executor_factory, make_collector, callbacks, stop, began)
+
+
+def require_recordable(session: Session, callbacks: RecordCallbacks) -> Session:
+    """Return the session with its meshes stated. Raise UsageError and ResourceError for looks and objects to refuse."""
+    if session.config.randomization.held_out:
+        raise UsageError(
+            f"randomization {session.config.randomization.name!r} is held out for tests of policies, so nothing is "
+            "recorded with it; give another, such as looks, or test a policy with `yamsim eval --randomization`"
+        )
+    _check_certificates(session, callbacks)
+    return with_mesh_descriptions(session)
 
 
 def fill_dataset(
@@ -78,7 +83,7 @@ def fill_dataset(
     require_fixed_plates(config)
     with open_destination(config, output, callbacks) as destination:
         collector = make_collector(destination.config, destination.episode_writer)
-        with _report_on_early_end(config, collector, destination):
+        with _report_on_early_end(collector, destination):
             if collector.attempts_needed:
                 # A resumed recording may have reached the retry limit in its earlier run.
                 collector.check_retry_limit()
@@ -107,18 +112,15 @@ def _check_certificates(session: Session, callbacks: RecordCallbacks) -> None:
 
 
 @contextlib.contextmanager
-def _report_on_early_end(
-    config: RecordConfig, collector: Collector, destination: OpenRecordingOutput
-) -> Iterator[None]:
+def _report_on_early_end(collector: Collector, destination: OpenRecordingOutput) -> Iterator[None]:
     """At an early end, write the manifest, and add recorded and remaining episodes to the error."""
     place = destination.writer.path
 
     def complete_episodes_text() -> str:
-        complete = collector.complete_episodes
-        return f"{complete} of {config.episodes} episodes are complete in {place}{destination.describe_staged}"
+        return f"{collector.describe_progress()} in {place}{destination.describe_staged}"
 
     def progress_text() -> str:
-        return f"{complete_episodes_text()}, {collector.remaining_episodes} are left; continue with --resume"
+        return f"{complete_episodes_text()}, {collector.remaining} are left; continue with --resume"
 
     try:
         try:

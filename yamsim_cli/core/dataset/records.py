@@ -12,6 +12,7 @@ from typing import Annotated, Any, TypeVar
 import pydantic_core
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from ...correction_record import CorrectionRecord
 from ..attempt_data import (
     Attempt,
     AttemptJob,
@@ -200,6 +201,7 @@ class EpisodeRecord(Record):
     renderer: str
     # Asset set -> description of the rendered meshes, see `core.scene.build.describe_meshes`; None if unknown.
     meshes: dict[str, str] | None = None
+    correction: Annotated[CorrectionRecord | None, Field(exclude_if=lambda made: made is None)] = None
     content_sha256: str
     files: dict[FilePath, str]
 

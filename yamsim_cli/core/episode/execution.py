@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,9 +17,11 @@ from ..scene.compiled import CompiledScene
 from ..scene.random_streams import Stream, random_generator
 from .commands import path_actions
 from .episode import Episode, EpisodeResult, PhysicsStepCallback
-from .episode_rules import EXPERT_RULES, EndReason, EpisodeRules
+from .episode_rules import EXPERT_RULES, REPLAY_RULES, EndReason, EpisodeRules
 from .sampling import describe_missing_start
 from .simulator import Simulator, open_episode
+
+Takeover = Callable[[Episode, PlanningContext], Iterable[MotionSegment]]  # acts, and returns the expert's first motions
 
 
 @dataclass(frozen=True)
@@ -37,11 +39,11 @@ class SimulatedAttempt:
 
 
 def simulate_expert(
-    simulator: Simulator, attempt: Attempt, *, grips: bool = True, disturbed: bool = True
+    simulator: Simulator, attempt: Attempt, *, grips: bool = True, disturbed: bool = True, after: Takeover | None = None
 ) -> SimulatedAttempt:
     """Simulate an attempt by the task's expert, without rendering. If it succeeds, place its distractors.
 
-    Without `grips`, fingers do not close, and every task that needs a grasp fails. `disturbed`: as the config says.
+    Without `grips`, fingers do not close. `disturbed`: as the config says. `after`: acts first; a policy may touch all.
     """
     if attempt.start is None:
         return SimulatedAttempt(
@@ -50,7 +52,7 @@ def simulate_expert(
     task = simulator.config.task
     program, to_actions = build_program(task, simulator.roles), functools.partial(_path_actions, simulator.scene, grips)
     picked = [skill_object(skill, simulator.roles) for skill in program if skill.LEAVES_OBJECT_HELD]
-    episode = open_episode(simulator, attempt, EXPERT_RULES)
+    episode = open_episode(simulator, attempt, EXPERT_RULES if after is None else REPLAY_RULES)
     execution = DisturbedExecution(simulator.config, attempt.job, episode, to_actions, picked if disturbed else None)
     attempt = replace(attempt, variation=replace(attempt.variation, pushes=execution.pushes))
     rng = random_generator(attempt.job, Stream.PLANNING)
@@ -63,10 +65,11 @@ def simulate_expert(
 
     failure: tuple[FailureCause, str] | None = None
     # After the program, the arms wait until the hold time has passed.
-    max_ticks = task.max_ticks - task.timing.settle_ticks - task.hold_ticks
+    begun = () if after is None else after(episode, context)
+    max_ticks = episode.ticks + task.max_ticks - task.timing.settle_ticks - task.hold_ticks
     motions = execution.with_replanning(run_program(program, context, simulator.roles, log), SkillFailedError)
     try:
-        for segment in _all_motions(motions, episode, context):
+        for segment in _all_motions(begun, motions, episode, context):
             append_recoveries()
             if episode.ticks + segment.tick_count > max_ticks:
                 failure = FailureCause.TIME, f"the program was not done after {episode.simulated_seconds:.0f} s"
@@ -83,16 +86,15 @@ def simulate_expert(
     played = episode.end_episode()
     played = replace(played, states=execution.with_intended_commands(played.states))
     outcome = replace(build_outcome(simulator, played, failure), recoveries=tuple(recoveries))
-    simulated = SimulatedAttempt(attempt, outcome, played)
-    if not outcome.success:
-        return simulated
-    return replace(simulated, attempt=with_distractors(simulator, attempt, simulated.recorded_states))
+    attempt = with_distractors(simulator, attempt, played.states) if outcome.success and after is None else attempt
+    return SimulatedAttempt(attempt, outcome, played)
 
 
 def _all_motions(
-    program: Iterator[MotionSegment], episode: Episode, context: PlanningContext
+    begun: Iterable[MotionSegment], program: Iterator[MotionSegment], episode: Episode, context: PlanningContext
 ) -> Iterator[MotionSegment]:
-    """Yield the program's motions, then move hands to their ready postures unless the goal holds."""
+    """Yield the motions `begun` and the program's, then move hands to their ready postures unless the goal holds."""
+    yield from begun
     yield from program
     if not episode.has_succeeded:
         yield from park_free_hands(context)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ....correction_record import WHO
 from ...errors import DatasetError
 from ..lowdim import GRASP, SIMULATION_KEYS, flatten_frame, frame_array_shapes, load_frame, simulation_faults
 from ..records import EpisodeRecord
@@ -15,7 +16,7 @@ from ..safe_unpickle import ForbiddenPickleError
 from .problem import ProblemCollector
 
 # Optional frame key -> example value with the required dtype and shape.
-_OPTIONAL_FRAME_KEYS = {"K_wrist": np.zeros((3, 3), np.float32)}
+_OPTIONAL_FRAME_KEYS = {"K_wrist": np.zeros((3, 3), np.float32), WHO: 0}
 
 
 @dataclass(frozen=True)

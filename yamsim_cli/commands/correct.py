@@ -1,0 +1,144 @@
+"""`yamsim correct`: record corrections of a policy's failures by the expert."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from yamsim_cli.flags import session_options as flags
+from yamsim_cli.flags.output_files import RenameExisting, open_mode
+from yamsim_cli.flags.session_options import session_opener, session_settings
+from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
+from yamsim_cli.terminal.signals import stop_on_signal
+
+_STOPPING_NOTE = "Stopping once the trials in progress are done. Another signal stops at once; --resume continues."
+
+
+def correct(
+    policy: Annotated[
+        str,
+        typer.Option(
+            help="As for yamsim eval: module:Class, file.py:Class, act://HOST:PORT, ws://HOST:PORT, "
+            "lerobot:CHECKPOINT, http://HOST:PORT, or hold_still.",
+            show_default=False,
+        ),
+    ],
+    n: Annotated[int, typer.Option("--n", min=1, help="Trials of the policy; those that fail are corrected.")] = 50,
+    seed: flags.Seed = None,
+    workers: flags.Workers = None,
+    out: Annotated[Path, typer.Option(help="The dataset's directory.")] = Path("corrections"),
+    rewind_s: Annotated[
+        float,
+        typer.Option(
+            min=0,
+            max=600,
+            metavar="SECONDS",
+            help="How long before the last motion of a failed trial the expert takes over, simulated s.",
+        ),
+    ] = 2.0,
+    policy_arg: Annotated[
+        list[str] | None,
+        typer.Option(help="A keyword for your own policy's class; may be repeated.", metavar="KEY=VALUE"),
+    ] = None,
+    policy_config: Annotated[
+        str | None,
+        typer.Option(
+            help="Names that a policy of another program uses: a config of the kind policies.  "
+            "[default: by the policy's protocol]"
+        ),
+    ] = None,
+    execute: Annotated[
+        int | None,
+        typer.Option(
+            min=1, metavar="K", help="Actions of a chunk to execute before the policy is called again.  [default: all]"
+        ),
+    ] = None,
+    ensemble: Annotated[
+        float | None,
+        typer.Option(
+            min=0,
+            max=100,
+            metavar="DECAY",
+            help="Average chunks that overlap; each newer chunk weighs less by exp(-DECAY).",
+        ),
+    ] = None,
+    latency: Annotated[
+        str,
+        typer.Option(
+            help="Simulated time from an observation until the policy's answer acts: 80ms, 0.08s, or measured.",
+            metavar="TIME",
+        ),
+    ] = "0ms",
+    time_limit: Annotated[
+        float | None, typer.Option(min=0.001, help="Longest trial of the policy, simulated s.  [default: the task's]")
+    ] = None,
+    policy_timeout: Annotated[
+        float, typer.Option(min=0.001, help="Real seconds that one answer of the policy may take.")
+    ] = 30.0,
+    trial_timeout: Annotated[
+        float, typer.Option(min=1, help="Real seconds after which a trial's worker counts as hung.")
+    ] = 600.0,
+    grasp: flags.Grasp = None,
+    wrist: flags.Wrist = None,
+    camera: flags.Cameras = None,
+    camera_effects: flags.CameraEffects = None,
+    randomize: flags.Randomize = None,
+    randomization: flags.Randomization = None,
+    size: flags.Size = None,
+    jpeg_quality: Annotated[int | None, typer.Option(help="JPEG quality, 1 to 100.")] = None,
+    quality: flags.Quality = None,
+    task: flags.Task = None,
+    item: flags.Object = None,
+    target: flags.Target = None,
+    scene: flags.Scene = None,
+    rig: flags.Rig = None,
+    revision: flags.Revision = None,
+    robot: flags.Robot = None,
+    arm: flags.Arm = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
+    overwrite: RenameExisting = False,
+    stage: flags.Stage = None,
+    config: flags.ConfigOption = "default",
+    offline: flags.Offline = False,
+    json: flags.Json = False,
+) -> None:
+    """Run a policy, and where it fails, let the expert take over before the failure. Record both parts as an episode.
+
+    Trial k starts as trial k of yamsim eval with the same seed. Give a seed with which nothing was recorded. Exit code
+    6 if no trial was corrected.
+
+    Example: yamsim correct --policy my_policy.py:MyPolicy --n 50 --seed 1000 --out corrections
+    """
+    mode = open_mode(resume=resume, overwrite=overwrite)
+    from yamsim_cli.corrections.correct import CorrectionExecutorFactory, require_corrections
+    from yamsim_cli.corrections.correct import correct as run
+    from yamsim_cli.policies.action_chunks import ChunkSettings, read_latency
+    from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
+    from yamsim_cli.policies.policy_loading import read_arguments
+    from yamsim_cli.recording.collect import RecordCallbacks
+    from yamsim_cli.recording.recording_output import RecordingOutput
+
+    choice = PolicyChoice(
+        policy,
+        Path.cwd(),
+        policy_timeout,
+        time_limit,
+        arguments=read_arguments(policy_arg or []),
+        mapping=policy_config,
+        chunking=ChunkSettings(execute, ensemble, read_latency(latency)),
+    )
+    session = session_opener.open(config, resumes=out if resume else None, **session_settings(locals()))
+    executors = CorrectionExecutorFactory(choice, rewind_s, trial_timeout)
+    with progress_bar("correcting", "trials") as advance, stop_on_signal(_STOPPING_NOTE) as stop:
+        callbacks = RecordCallbacks(
+            lambda done, wanted, episodes: advance(done, wanted, f"{episodes} corrections"), print_note
+        )
+        report = run(session, policy, RecordingOutput(out, mode, stage), executors, callbacks, stop)
+    note_moved(report.recorded.path, report.recorded.moved_aside)
+    if json:
+        print_json(report.data())
+    else:
+        print_line(report.describe())
+    require_corrections(report)

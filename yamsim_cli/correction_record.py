@@ -1,0 +1,43 @@
+"""Who acted in each frame of a correction: a policy, and from the takeover on the expert."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+WHO = "who"  # frame key; only in corrections
+EXPERT, POLICY = 0, 1  # its values
+
+
+@dataclass(frozen=True)
+class CorrectionRecord:
+    """How an episode of `yamsim correct` came about, in `episode.json`.
+
+    Attributes:
+        policy: the policy as given to `--policy`.
+        tick: control tick before which the expert took over; the policy's commands are those before.
+        frame: first recorded frame in which the expert acts.
+        ended: how the policy's trial ended without a correction, see `policies.evaluate.policy_trial.TrialEnd`.
+        cause, detail: why that trial failed.
+        trial_ticks: control ticks of that trial.
+    """
+
+    policy: str
+    tick: int
+    frame: int
+    ended: str
+    cause: str
+    detail: str
+    trial_ticks: int
+
+    def who(self, frame: int) -> int:
+        """Return who acts in a frame: `EXPERT` or `POLICY`."""
+        return EXPERT if frame >= self.frame else POLICY
+
+
+def with_who(frames: Sequence[Mapping[str, Any]], correction: CorrectionRecord | None) -> list[dict[str, Any]]:
+    """Return all frames of an episode with the key `who`; without a correction, unchanged."""
+    if correction is None:
+        return [dict(frame) for frame in frames]
+    return [{**frame, WHO: correction.who(k)} for k, frame in enumerate(frames)]
