@@ -27,12 +27,8 @@ from torch import nn
 from yamsim_cli import ChunkWindows, ShuffledBatches, open_dataset
 
 SCENE_CAMERA, WRIST_CAMERA = "scene_camera", "right_wrist_camera"
-CROP = (
-    0.125,
-    0.29,
-    0.875,
-    0.96,
-)  # left, top, right, bottom as shares of the image: the table, seen by the rig `single`
+# Left, top, right and bottom edge as shares of the image: the table, seen by the rig `single`.
+CROP = (0.125, 0.29, 0.875, 0.96)
 CHUNK = 32  # actions of 64 ms in an answer
 TICKS = 2  # control ticks of an action: two for each frame of a dataset
 CHANNELS, MAPS, FEATURES = 32, 16, 256  # of convolutions, of the last convolution, of linear layers
@@ -78,7 +74,11 @@ class PictureNet(nn.Module):
         self.trunks = nn.ModuleList(_trunk(height, width) for height, width in shapes)
         width = FEATURES * len(shapes) + drives
         self.head = nn.Sequential(
-            nn.LayerNorm(width), nn.Linear(width, FEATURES), nn.ReLU(), nn.Linear(FEATURES, CHUNK * numbers)
+            nn.Linear(width, FEATURES),
+            nn.ReLU(),
+            nn.Linear(FEATURES, FEATURES),
+            nn.ReLU(),
+            nn.Linear(FEATURES, CHUNK * numbers),
         )
 
     def forward(self, images: Sequence[torch.Tensor], joints: torch.Tensor) -> torch.Tensor:
@@ -101,6 +101,7 @@ def _trunk(height: int, width: int) -> nn.Sequential:
         nn.ReLU(),
         nn.Flatten(),
         nn.Linear(MAPS * math.ceil(height / 2) * math.ceil(width / 2), FEATURES),
+        nn.ReLU(),
     )
 
 

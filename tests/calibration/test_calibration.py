@@ -64,6 +64,7 @@ def test_a_calibration_is_read_as_written(locations: Locations, tmp_path: Path) 
     file = tmp_path / "calibration.yaml"
     file.write_text(calibration_text(_calibration(0.3)))
     assert load_calibration(file, locations) == _calibration(0.3)
+    assert load_calibration(file.parent, locations) == _calibration(0.3)
     file.write_text("rig: single\n")
     with pytest.raises(ConfigError, match=r"calibration\.yaml"):
         load_calibration(file, locations)

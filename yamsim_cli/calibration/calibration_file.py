@@ -18,6 +18,8 @@ from ..core.geometry.camera import CameraModel
 from ..core.geometry.se3 import Array, invert_pose, pose_from_quat
 from ..photos.overlay.photos import PlacedCamera
 
+CALIBRATION_FILE = "calibration.yaml"  # in the directory of `yamsim calibrate`
+
 Numbers3 = tuple[float, float, float]
 
 
@@ -148,7 +150,7 @@ class Calibration(Config):
         """Return the calibration itself. Raise UsageError if it is of another rig, or of other arms."""
         if self.rig != rig.name:
             raise UsageError(
-                f"{option}: the calibration is of rig {self.rig!r}, not {rig.name!r}; give --rig {self.rig}"
+                f"{option}: the calibration is of rig {self.rig!r}, not {rig.name!r}; give --rig as for `yamsim calibrate`"
             )
         arms, own = ([arm.name for arm in arms] for arms in (rig.arms, self.arms))
         if arms != own:
@@ -164,7 +166,8 @@ def calibration_text(calibration: Calibration) -> str:
 
 
 def load_calibration(path: Path, locations: Locations) -> Calibration:
-    """Read a calibration. Raise ConfigError if the file cannot be read or is not valid."""
+    """Read a calibration: a file, or the directory of `yamsim calibrate`. Raise ConfigError if it is not valid."""
+    path = path / CALIBRATION_FILE if path.is_dir() else path
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -31,6 +31,7 @@ from ..core.statistics import Z95
 from ..photos.picture_overlay import blend_arms
 from .calibrate_run import EXCHANGED_OVERLAP, CameraOutcome, StationOutcome, outline_px
 from .calibration_file import (
+    CALIBRATION_FILE,
     CalibratedArm,
     CalibratedCamera,
     CalibratedWristCamera,
@@ -43,7 +44,7 @@ from .station_fit import FitPriors, StationFit
 from .uncertainty import PoseInterval, StationIntervals, is_measured
 from .wrist_fit import WristFit, WristOutcome
 
-CALIBRATION_FILE, REPORT_FILE, PAGE_FILE = "calibration.yaml", "calibration.json", "calibration.html"
+REPORT_FILE, PAGE_FILE = "calibration.json", "calibration.html"
 _SHOWN_FRAMES = 12  # pictures of a camera on the page
 _OPACITY = 0.35  # of the arms over a picture, 0..1
 _JPEG_QUALITY = 85  # 0..100

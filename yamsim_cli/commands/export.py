@@ -344,7 +344,7 @@ def rerun(
 def calibration(
     calibration: Annotated[
         Path,
-        typer.Argument(help="calibration.yaml of `yamsim calibrate`.", show_default=False),
+        typer.Argument(help="calibration.yaml of `yamsim calibrate`, or its directory.", show_default=False),
     ],
     out: Out,
     formats: Annotated[

@@ -72,7 +72,6 @@ def match(
     settings = session_opener.load_rig(rig, where, margin, revision)
 
     from yamsim_cli.calibration.calibration_file import load_calibration
-    from yamsim_cli.calibration.calibration_report import CALIBRATION_FILE
     from yamsim_cli.core.config.cameras.camera import CameraConfig
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.rendering import RenderConfig
@@ -83,8 +82,7 @@ def match(
     quality = load_config(RenderConfig, "quality", "balanced", where)
     placed = None
     if calibration is not None:
-        file = calibration / CALIBRATION_FILE if calibration.is_dir() else calibration
-        found = load_calibration(file, where).for_rig(settings, "--calibration")
+        found = load_calibration(calibration, where).for_rig(settings, "--calibration")
         placed = found.placed_camera(found.camera(calibrated_camera, "--calibrated-camera"))
     session_opener.choose_gl_backend(where)
 
