@@ -150,7 +150,8 @@ class Calibration(Config):
         """Return the calibration itself. Raise UsageError if it is of another rig, or of other arms."""
         if self.rig != rig.name:
             raise UsageError(
-                f"{option}: the calibration is of rig {self.rig!r}, not {rig.name!r}; give --rig as for `yamsim calibrate`"
+                f"{option}: the calibration is of rig {self.rig!r}, not {rig.name!r}; give --rig as for "
+                "`yamsim calibrate`"
             )
         arms, own = ([arm.name for arm in arms] for arms in (rig.arms, self.arms))
         if arms != own:

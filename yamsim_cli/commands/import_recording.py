@@ -56,7 +56,7 @@ def import_recording(
     calibration: Annotated[
         Path | None,
         typer.Option(
-            help="calibration.yaml of `yamsim calibrate`, or its directory, whose cameras' matrices and poses are stored.",
+            help="calibration.yaml of `yamsim calibrate`, or its directory; cameras' matrices and poses are stored.",
             show_default=False,
         ),
     ] = None,
