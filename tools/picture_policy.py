@@ -4,9 +4,9 @@
     yamsim eval --policy tools/picture_policy.py:PicturePolicy --policy-arg weights=picture_policy.pt \
         --trained-on demos --execute 2 --ensemble 0.01
 
-One convolutional trunk reads the scene camera's image, cropped to the table, and another one the wrist camera's image,
-at half its size. A linear layer on the maps of each and two layers on top answer with a chunk of absolute actions. The
-loss is the mean absolute error (L1).
+One convolutional trunk reads the scene camera's image, cropped to the table, and another one reads the wrist camera's
+image at half size. A linear layer follows each trunk, and three linear layers map both and the joints to a chunk of
+absolute actions. The loss is the mean absolute error (L1).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SCENE_CAMERA, WRIST_CAMERA = "scene_camera", "right_wrist_camera"
 CROP = (0.125, 0.29, 0.875, 0.96)
 CHUNK = 32  # actions of 64 ms in an answer
 TICKS = 2  # control ticks of an action: two for each frame of a dataset
-CHANNELS, MAPS, FEATURES = 32, 16, 256  # of convolutions, of the last convolution, of linear layers
+CHANNELS, MAPS, FEATURES = 32, 16, 256  # channels of convolutions and of the last one, outputs of linear layers
 BATCH, LEARNING_RATE, WEIGHT_DECAY = 64, 1.5e-3, 1e-3
 AVERAGE = 0.995  # share of the old value in the running mean of the weights, at each step
 BRIGHTNESS = 0.1  # largest random change of the gain of each colour, as a share
@@ -51,7 +51,7 @@ class Scaling:
 
     @classmethod
     def of(cls, windows: ChunkWindows) -> Scaling:
-        """Compute them from all frames."""
+        """Compute the scaling from all frames."""
         rows = (np.array(windows.arrays[key]) for key in ("joints", "action"))
         found = [
             torch.from_numpy(values.astype(np.float32))
@@ -66,7 +66,8 @@ class PictureNet(nn.Module):
 
     Args:
         shapes: (height, width) of the scene's and of the wrist's image, px.
-        drives, numbers: of the joints, and of an action.
+        drives: number of joints, with the gripper.
+        numbers: length of an action.
     """
 
     def __init__(self, shapes: Sequence[tuple[int, int]], drives: int, numbers: int) -> None:
@@ -125,14 +126,14 @@ def to_input(images: np.ndarray) -> torch.Tensor:
 
 
 def augment(image: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-    """Vary the gain of colours, and shift the images of a batch."""
+    """Vary the gain of colours of each image, and shift all images of a batch alike; edges wrap around."""
     gain = 1 + BRIGHTNESS * (2 * torch.rand(len(image), 3, 1, 1, generator=generator) - 1)
     x, y = (int(torch.randint(-SHIFT, SHIFT + 1, (1,), generator=generator)) for _ in range(2))
     return torch.roll((image + 1) * gain - 1, (y, x), dims=(2, 3))
 
 
 def train(demos: Path, out: Path, *, steps: int, seed: int, episodes: int | None = None, batch: int = BATCH) -> float:
-    """Train on the first `episodes` of a dataset, write the weights to `out`, and return the last mean loss."""
+    """Train on the first `episodes` of a dataset, write the weights to `out`, and return the mean of the last losses."""
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
     windows = ChunkWindows(open_dataset(demos)[:episodes], [SCENE_CAMERA, WRIST_CAMERA], chunk=CHUNK)
@@ -213,7 +214,7 @@ class PicturePolicy:
 
 
 def main() -> None:
-    """Train by command line."""
+    """Train from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("demos", type=Path, help="dataset of yamsim record")
     parser.add_argument("out", type=Path, help="file of the weights")

@@ -16,11 +16,11 @@ class CorrectionRecord:
 
     Attributes:
         policy: the policy as given to `--policy`.
-        tick: control tick before which the expert took over; the policy's commands are those before.
+        tick: first control tick of the expert; earlier commands are the policy's.
         frame: first recorded frame in which the expert acts.
-        ended: how the policy's trial ended without a correction, see `policies.evaluate.policy_trial.TrialEnd`.
+        ended: how the policy's own trial ended, see `policies.evaluate.policy_trial.TrialEnd`.
         cause, detail: why that trial failed.
-        trial_ticks: control ticks of that trial.
+        trial_ticks: number of control ticks of that trial.
     """
 
     policy: str

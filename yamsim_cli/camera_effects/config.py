@@ -27,16 +27,16 @@ _Time = Annotated[FiniteFloat, QuantityBounds("ms", 0, 500)]
 class CameraEffects(Config):
     """Differences of a real camera's images from those of an ideal pinhole camera with the same field of view.
 
-    The effects apply in the order of the attributes, except that the delay and the shutter come first. A key that is
-    left out has no effect.
+    Effects apply in this order: delay, shutter, lens with `crop` and `letterbox`, exposure, white balance, noise, JPEG.
+    A key that is left out has no effect.
 
     Attributes:
         lens: model of `distortion`: OpenCV's standard model, or its fisheye model.
         distortion: coefficients in OpenCV's order: 4, 5, 8, 12 or 14 of the standard model, 4 of the fisheye model. The
             focal length remains that of the camera's field of view.
-        principal_point: offset of the principal point from the image's centre, to the right and down, as a share of the
-            image's width and height.
-        exposure_ev: change of the exposure, in powers of two of the light.
+        principal_point: offset of the principal point from the sensor's centre, to the right and down, as a share of
+            the sensor's width and height.
+        exposure_ev: change of the exposure, EV: +1 doubles the light.
         white_balance: factors on the light of red, green and blue.
         full_well_e: electrons of a saturated pixel, which determine the shot noise; without it, there is no noise. A
             gain divides this number.
@@ -44,9 +44,10 @@ class CameraEffects(Config):
         jpeg_quality: quality of the JPEG compression in the camera, 1 to 100, before the image is stored.
         crop: left, top, right and bottom edge of the part of the sensor's image that is kept, as shares of its size.
             The field of view and `principal_point` are those of the whole sensor.
-        letterbox: width / height of the picture, which black bars complete to the image's size. Without it, the picture
-            fills the image.
-        exposure_ms: time for which a row is exposed, ms, which blurs motion. The exposure ends at the frame's time.
+        letterbox: aspect ratio (width / height) of the picture; black bars fill the rest of the image. Without it, the
+            picture fills the image.
+        exposure_ms: time for which a row is exposed, ms, which blurs motion. Without `readout_ms`, the exposure ends at
+            the frame's time.
         readout_ms: time from the exposure of the first row to that of the last one, ms: a rolling shutter. The last row
             is exposed until the frame's time.
         shutter_samples: number of states that are rendered for one image, if it has motion blur or a rolling shutter.
@@ -103,7 +104,7 @@ class CameraEffects(Config):
         return self.exposure_ms > 0 or self.readout_ms > 0
 
     def picture_box(self, width: int, height: int) -> tuple[int, int, int, int]:
-        """Return left, top, right and bottom edge, px, of the picture between black bars in an image of a size, px."""
+        """Return left, top, right and bottom edge, px, of the picture without bars in an image of a size, px."""
         if self.letterbox is None:
             return 0, 0, width, height
         across, down = min(width, round(height * self.letterbox)), min(height, round(width / self.letterbox))

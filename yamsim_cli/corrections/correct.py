@@ -1,7 +1,7 @@
 """Record corrections: trials of a policy that fail, which the expert completes.
 
-The workers, the order of writing and the treatment of faults are those of a recording, see `recording.collect`. Attempt
-k of the dataset is trial k of `yamsim eval` with the same seed.
+Workers and the order of writing are those of a recording, see `recording.collect`. A trial whose worker is lost gets a
+line in the ledger. Attempt k of the dataset is trial k of `yamsim eval` with the same seed.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ class CorrectionCollector(Collector):
     def __init__(
         self, config: RecordConfig, sink: EpisodeWriter, callbacks: RecordCallbacks, stop: StopRequest
     ) -> None:
+        # A failed correction never shows that all attempts must fail.
         super().__init__(config, sink, callbacks, stop, lambda cause, first: False)
 
     @property
@@ -50,16 +51,16 @@ class CorrectionCollector(Collector):
 
     @property
     def remaining(self) -> int:
-        """Number of trials that are missing."""
+        """Number of trials without a line in the ledger."""
         return max(0, self._config.episodes - len(self._sink.attempts))
 
     @property
     def attempts_needed(self) -> int:
-        """Number of trials that are still to be run."""
-        return self.remaining + len(self._queue_of_lost)
+        """Number of trials that are still to be run: those that remain, and lost ones that run again."""
+        return self.remaining + len(self._lost_trials)
 
     @property
-    def _queue_of_lost(self) -> set[int]:
+    def _lost_trials(self) -> set[int]:
         return self._lost_attempts.keys() | self._sink.lost_lines
 
     def describe_progress(self) -> str:
@@ -67,7 +68,7 @@ class CorrectionCollector(Collector):
         return f"{len(self._sink.attempts)} of {count_noun(self._config.episodes, 'trial')} are done"
 
     def check_retry_limit(self) -> None:
-        """Do nothing: the number of trials is known."""
+        """Do nothing: failed trials are not repeated."""
 
     def _may_start_attempt(self, executor: EpisodeExecutor) -> bool:
         ahead = self._next - len(self._sink.attempts)
@@ -78,7 +79,7 @@ class CorrectionCollector(Collector):
     def _mark_lost(self, error: LostJobError) -> None:
         job = error.job
         assert isinstance(job, AttemptJob)
-        if job.attempt in self._queue_of_lost:
+        if job.attempt in self._lost_trials:
             raise PartialJobError(f"trial {job.attempt} cannot be run again: {error}") from error
         detail = f"its worker {error.reason}, in each of {error.tries} tries"
         self._finished[job.attempt] = AttemptPayload(Attempt(job), Outcome(False, FailureCause.WORKER_LOST, detail))
@@ -90,9 +91,9 @@ class CorrectionCollector(Collector):
 
     def _attempt_record(self, payload: AttemptPayload, episode: int | None) -> AttemptRecord:
         record = attempt_record(payload, episode)
-        if not isinstance(payload, CorrectionPayload) or payload.trial_outcome is None:
+        if not isinstance(payload, CorrectionPayload) or payload.ledger_outcome is None:
             return record
-        return record.model_copy(update={"outcome": payload.trial_outcome})
+        return record.model_copy(update={"outcome": payload.ledger_outcome})
 
     def _report_progress(self) -> None:
         self._watch.progress(len(self._sink.attempts), self._config.episodes, self._sink.episodes)
@@ -119,14 +120,15 @@ class CorrectionExecutorFactory:
 
 @dataclass(frozen=True)
 class CorrectionReport:
-    """Result of a run.
+    """State of the dataset after a run.
 
     Attributes:
+        recorded: the run, and the episodes of the dataset.
+        policy: name of the policy.
         trials: number of trials in the dataset.
         policy_succeeded: trials in which there was nothing to correct.
-        policy_faults: end of a trial -> number, for trials without a correction because the policy or its worker
-            failed.
-        not_corrected: cause -> number, for trials that the expert took over without success.
+        policy_faults: cause -> number, for trials that ended because the policy or its worker failed.
+        not_corrected: cause -> number, for all other trials without a correction.
     """
 
     recorded: RecordReport
@@ -153,13 +155,12 @@ class CorrectionReport:
 
     def describe(self) -> str:
         """Return the report as a sentence."""
-        failed = sum(self.not_corrected.values())
         faults = sum(self.policy_faults.values())
         return (
             f"{count_noun(self.recorded.episodes, 'correction')} of {count_noun(self.trials, 'trial')} in "
-            f"{self.recorded.path}; the policy succeeded in {self.policy_succeeded}, the expert failed in {failed}"
-            + (f", and {faults} had a fault of the policy" if faults else "")
-            + f" ({self.recorded.seconds:.1f} s)"
+            f"{self.recorded.path}; the policy succeeded in {self.policy_succeeded}, "
+            f"{sum(self.not_corrected.values())} were not corrected, and {faults} ended with a fault of the policy or "
+            f"its worker ({self.recorded.seconds:.1f} s)"
         )
 
 

@@ -1,4 +1,4 @@
-"""Run a trial of a policy, and if it fails, let the expert take over before its end."""
+"""Run a trial of a policy, and if it fails, let the expert take over from a state before its end."""
 
 from __future__ import annotations
 
@@ -31,18 +31,20 @@ class CorrectionPayload(AttemptPayload):
 
     Attributes:
         correction: None if the expert did not take over.
-        trial_outcome: the outcome for the ledger if the expert did not take over.
+        ledger_outcome: outcome in the ledger if the expert did not take over. Its `success` is False even if the policy
+            succeeded, because the trial has no episode.
     """
 
     correction: CorrectionRecord | None = None
-    trial_outcome: OutcomeRecord | None = None
+    ledger_outcome: OutcomeRecord | None = None
 
 
 class CorrectionRunner(Closable):
     """Runs trials of a policy, and corrections of those that fail. Raises as `TrialRunner` and `require_stated_meshes`.
 
     Args:
-        session: states its meshes.
+        session: with stated meshes, see `require_stated_meshes`.
+        choice: the policy, and how it is called.
         rewind_s: as in `takeover_frame`.
     """
 
@@ -52,7 +54,7 @@ class CorrectionRunner(Closable):
         self._trials = TrialRunner(session, choice)
 
     def run(self, job: AttemptJob) -> CorrectionPayload:
-        """Run one trial, and return its correction, with files if it succeeded."""
+        """Run one trial, and correct it if it fails. Only a successful correction has files."""
         trial = self._trials.run(job)
         if trial.outcome.success:
             detail = "the policy succeeded, so there was nothing to correct"
@@ -83,7 +85,7 @@ class CorrectionRunner(Closable):
 
 
 def _without_correction(trial: TrialResult, outcome: OutcomeRecord) -> CorrectionPayload:
-    return CorrectionPayload(trial.attempt, Outcome(False), trial_outcome=outcome)
+    return CorrectionPayload(trial.attempt, Outcome(False), ledger_outcome=outcome)
 
 
 def _with_correction(payload: AttemptPayload, correction: CorrectionRecord) -> CorrectionPayload:

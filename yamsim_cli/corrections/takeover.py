@@ -22,8 +22,8 @@ from ..core.expert.skills.program import build_program, skill_object
 from ..core.expert.skills.put_aside import PutAside
 from ..core.geometry.se3 import invert_pose
 
-# m or rad, motion from one recorded frame to the next below which a joint or an object counts as at rest. Frames are
-# 64 ms apart by default, so this is 16 mm/s: arms that hold their joints and objects that lie move less.
+# Largest change of a value of qpos from one recorded frame to the next at rest: 1 mm, 1 mrad of a joint, or 2 mrad of
+# an object's rotation. Frames are 64 ms apart by default, so 1 mm is 16 mm/s: objects that lie move less.
 REST_MOTION = 1e-3
 
 
@@ -37,7 +37,8 @@ def require_one_rigid_object(task: ProgramTask) -> None:
     program = build_program(task, roles)
     handled = list(dict.fromkeys(skill_object(skill, roles) for skill in program))
     if any(skill.HANDLES_CLOTH for skill in program):
-        why = f"handles cloth ({handled[0]}), which it folds only from the start of an episode"
+        cloth = next(skill_object(skill, roles) for skill in program if skill.HANDLES_CLOTH)
+        why = f"handles cloth ({cloth}), which it folds only from the start of an episode"
     elif len(handled) > 1:
         why = f"handles {len(handled)} objects ({', '.join(handled)}), and would move them all again"
     else:
@@ -54,13 +55,14 @@ def takeover_frame(states: Sequence[StepState], rewind_s: float, frame_s: float)
     The trial is rewound by `rewind_s` from its end, or, if nothing moved at its end, from the last motion before.
 
     Args:
-        states: of all recorded frames of the policy's trial.
-        rewind_s: s.
+        states: one for each recorded frame of the policy's trial.
+        rewind_s: time to rewind, s. A trial that is shorter is taken over at its start.
         frame_s: time between frames, s.
     """
     positions = np.array([state.qpos for state in states])
     moving = np.flatnonzero(np.abs(np.diff(positions, axis=0)).max(axis=1, initial=0.0) > REST_MOTION)
     last = int(moving[-1]) + 1 if len(moving) else 0
+    # Rounding errors of the quotient must not add a frame.
     return max(0, last - math.ceil(rewind_s / frame_s - 1e-9))
 
 
@@ -68,7 +70,8 @@ def takeover_frame(states: Sequence[StepState], rewind_s: float, frame_s: float)
 class ExpertTakeover:
     """Repeats a policy's actions in an episode, and returns the expert's first motions, see `execution.Takeover`.
 
-    An object in a hand stays there if it is the one that the expert picks first. Any other is put down.
+    A hand keeps the object that the program picks first. A hand that holds any other object alone puts it aside. Two
+    hands that hold one object open.
 
     Attributes:
         actions: of the policy, up to the takeover.
@@ -79,7 +82,7 @@ class ExpertTakeover:
     roles: RoleAssignment
 
     def __call__(self, episode: Episode, context: PlanningContext) -> Iterator[MotionSegment]:
-        """Run the policy's actions now; the motions are planned when they are needed."""
+        """Run the policy's actions now; plan each motion when the iterator gets to it."""
         episode.run_commands(self.actions)
         for hand in context.hands:
             _take_hand(context, hand)
@@ -106,7 +109,7 @@ class ExpertTakeover:
 
 
 def _take_hand(context: PlanningContext, hand: Hand) -> None:
-    """Plan from where an arm is: it holds its present joints and opening."""
+    """Start the plan from an arm's present joints and opening."""
     arm = hand.arm
     hand.joints = np.clip(context.qpos[arm.joint_qpos], arm.joint_range[:, 0], arm.joint_range[:, 1])
     if arm.fingers is not None:
@@ -114,9 +117,7 @@ def _take_hand(context: PlanningContext, hand: Hand) -> None:
 
 
 def _holding_hands(episode: Episode, context: PlanningContext) -> dict[str, list[Hand]]:
-    """Return object -> acting hands that hold it, for objects that a hand holds. Fingers of a hand with a weld only
-    touch.
-    """
+    """Return object -> acting hands that hold it. A hand that grasps by a weld holds only while the weld is active."""
     welded = episode.welds_active
     found = {}
     for thing, sides in context.world.holding_sides_by_object().items():
@@ -133,5 +134,5 @@ def _take_grasp(context: PlanningContext, hand: Hand, thing: str) -> None:
     fingers = hand.arm.fingers
     if fingers is not None and not hand.grasps_by_weld:
         commanded = float(context.world.data.ctrl[fingers.ctrl])
-        # See `gripper_drive_commands`: the drive is commanded below the opening to press.
+        # The inverse of `gripper_drive_commands`: two fingers share the drive's force, gain * (opening - command).
         hand.grip_force = max(0.0, (hand.opening - commanded) * fingers.gain / 2)

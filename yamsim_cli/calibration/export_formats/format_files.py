@@ -1,4 +1,4 @@
-"""What the writers of calibration files of other programs share."""
+"""Shared parts of the writers of calibration files."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def wrist_camera_misfit(camera: CalibratedWristCamera) -> str:
     """Return why a wrist camera's pose is not written; empty if the pictures measured it."""
     if is_wrist_camera_measured(camera.position_95_mm, camera.rotation_95_deg):
         return ""
-    return f"its pose is not measured ({_interval(camera)}): calibrate with more or larger pictures"
+    return f"its pose is not measured ({_interval(camera)}): calibrate with more pictures, or in a higher resolution"
 
 
 def _interval(body: CalibratedArm | CalibratedWristCamera) -> str:

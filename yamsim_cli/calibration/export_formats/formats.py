@@ -38,8 +38,9 @@ def make_files(
 ) -> dict[str, FormatFiles]:
     """Return the files of each of `formats`, or of all formats if it is empty.
 
-    Raises UsageError if arms of the calibration are not the rig's, a camera's name cannot name a file, two cameras
-    have one name, one of `formats` does not fit the calibration, or none of all formats does.
+    Raises UsageError if arms of the calibration are not the rig's, a camera is on an unknown arm, a camera's name
+    cannot name a file, two cameras have the same name, one of `formats` does not fit the calibration, or none of all
+    formats does.
     """
     _require_valid_names(calibration, rig)
     made = {name: FORMATS[name](calibration, rig, locations) for name in formats or FORMATS}
@@ -63,7 +64,10 @@ def _require_valid_names(calibration: Calibration, rig: RigConfig) -> None:
     names = [camera.name for camera in (*calibration.cameras, *calibration.wrist_cameras)]
     for name in names:
         if not _CAMERA_NAME.fullmatch(name):
-            raise UsageError(f"the calibration's camera {name!r}: its name must be letters, digits, _, - and .")
+            raise UsageError(
+                f"the calibration's camera {name!r}: give it letters, digits, _, - or ., the first one a "
+                "letter or digit"
+            )
         if names.count(name) > 1:
             raise UsageError(f"the calibration has several cameras {name!r}; rename one")
 

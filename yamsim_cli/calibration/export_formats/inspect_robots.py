@@ -25,7 +25,8 @@ _REPORTED_TILT = math.radians(0.1)
 def write_inspect_robots(calibration: Calibration, rig: RigConfig, locations: Locations) -> FormatFiles:
     """Return `config.ini` with the positions (m) and yaws (rad) of both bases; none if the right base is unknown.
 
-    The left base is at the origin with yaw 0. Its tilt is the rig's: the calibration does not measure it.
+    The left base is at the origin with yaw 0. The right base is in axes whose z is up: the left base's tilt in them is
+    the rig's, because the calibration does not measure it.
     """
     T_right_in_left, reason = measured_right_base(calibration)
     if T_right_in_left is None:

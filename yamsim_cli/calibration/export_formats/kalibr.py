@@ -21,7 +21,7 @@ CAMCHAIN_FILE = "camchain.yaml"
 
 
 def write_kalibr(calibration: Calibration, rig: RigConfig, locations: Locations) -> FormatFiles:
-    """Return `camchain.yaml`: cam0, cam1, ... are the calibration's fixed cameras in their order."""
+    """Return `camchain.yaml`: cam0, cam1, ... are the fixed cameras that fit, in order; `rostopic` has their names."""
     left_out = [
         f"kalibr: camera {camera.name}: it moves with {camera.arm}, and a camchain is rigid"
         for camera in calibration.wrist_cameras

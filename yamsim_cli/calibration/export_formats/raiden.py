@@ -1,7 +1,7 @@
 """raiden's `calibration_results.json`.
 
 Source: TRI-ML/raiden 2353b10, `docs/guide/calibration.md` and `raiden/calibration/runner.py` (keys, five coefficients
-of a lens, poses in m with OpenCV's axes). `export.raiden_frames` has the frame of each pose.
+of a lens, poses in m with OpenCV's axes). `export.raiden_frames` defines the frame of each pose.
 """
 
 from __future__ import annotations
@@ -56,6 +56,8 @@ def write_raiden(calibration: Calibration, rig: RigConfig, locations: Locations)
             left_out.append(f"raiden: bimanual_transform: {reason}")
         else:
             data["bimanual_transform"] = bimanual_transform(T_right, computed_from_calibration=True)
+    if not cameras and "bimanual_transform" not in data:
+        return FormatFiles({}, tuple(left_out))
     return FormatFiles({RESULTS_FILE: json.dumps(data, indent=2) + "\n"}, tuple(left_out))
 
 
@@ -65,6 +67,7 @@ def _entry(camera: CalibratedCamera | CalibratedWristCamera, pictures: int) -> d
 
 
 def _grasp_in_flange(arm: ArmConfig) -> Array:
+    """Return the pose (4, 4) of `grasp_site` on the flange, where the site `tool` is, m."""
     kinematics = ArmKinematics(kinematic_model(arm))
     joints = [0.0] * arm.robot.dof
     return invert_pose(kinematics.T_site_in_base(joints, "tool")) @ kinematics.T_grasp_in_base(joints)

@@ -54,6 +54,7 @@ def write_ros(calibration: Calibration, rig: RigConfig, locations: Locations) ->
         lines = [
             "#!/bin/sh",
             "# Publishes the calibrated poses until it is stopped.",
+            # Ends the whole process group: `ros2 run` may not pass signals to its child.
             "trap 'trap - INT TERM; kill 0' INT TERM",
         ]
         files[TRANSFORMS_FILE] = "\n".join([*lines, *(f"{command} &" for command in commands), "wait", ""])

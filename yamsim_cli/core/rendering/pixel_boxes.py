@@ -41,7 +41,7 @@ class ScissorBox(NamedTuple):
         return ScissorBox(left, bottom, right - left, top - bottom)
 
     def scaled(self, size: Sequence[int], old: Sequence[int]) -> ScissorBox:
-        """Return the box in an image of another size: height and width of the new and of the old image."""
+        """Return the box, aligned, in an image of another size: height and width of the new and of the old image."""
         x, y = (size[1], old[1]), (size[0], old[0])
         return ScissorBox(*(value * new // before for value, (new, before) in zip(self, (x, y, x, y), strict=True)))
 
@@ -132,7 +132,7 @@ class ShadowVolumes:
         direction: unit vector (3,) in which the light travels, in `world`.
         lowest_plane: height of the lowest surface of the scene, m.
         tables: boxes that stop shadows.
-        margin: growth of a geom's box on each side, m, for the texels of the shadow map.
+        margin: growth of a geom's box on each side, m, so that it covers the blur of the shadow map's texels.
     """
 
     direction: Array

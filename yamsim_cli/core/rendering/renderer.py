@@ -95,13 +95,14 @@ class _RenderContexts:
         self.gl = self.context = None
 
 
-def _averaging_step(fine: int, size: int) -> int:
-    """Return the number of fine pixels whose multiples are edges of pixels of the final size too.
+def _averaging_step(fine: int, final: int) -> int:
+    """Return the step, in fine pixels, at which edges of fine and final pixels coincide along a side of an image.
 
-    Averages of parts of an image equal those of the whole one only if OpenCV's weights are exact, as halves are.
+    Parts average to the same values as the whole image only where pixels overlap by wholes or halves. Otherwise, the
+    step is the whole side.
     """
-    common = math.gcd(fine, size)
-    return fine // common if size // common <= 2 else fine
+    common = math.gcd(fine, final)
+    return fine // common if final // common <= 2 else fine
 
 
 class SceneRenderer(Closable):
@@ -267,7 +268,10 @@ class SceneRenderer(Closable):
             view.frustum_width = (view.frustum_top - view.frustum_bottom) / 2 * self._width / self._height
 
     def _render_changed_part(self, data: mujoco.MjData, camera: str) -> Image | None:
-        """Return the camera's image in the final size, bottom row first; None if only `mjr_render` can draw it."""
+        """Return the camera's image in the final size, bottom row first; None if only `mjr_render` can draw it.
+
+        The next call for the same camera overwrites the image.
+        """
         assert self._incremental is not None
         context = self._make_context_current()
         if camera not in self._images:
@@ -283,8 +287,8 @@ class SceneRenderer(Closable):
                 part = np.empty((box.height, box.width, 3), np.uint8)
                 mujoco.mjr_readPixels(part, None, mujoco.MjrRect(*box), context)
                 fine[box.pixels] = part
-                box = box.aligned(*self._averaging_steps)
-                image[box.scaled(image.shape, fine.shape).pixels] = self._average_pixels(fine[box.pixels])
+                aligned = box.aligned(*self._averaging_steps)
+                image[aligned.scaled(image.shape, fine.shape).pixels] = self._average_pixels(fine[aligned.pixels])
             except BaseException:
                 self._incremental.invalidate()
                 raise
@@ -298,7 +302,7 @@ class SceneRenderer(Closable):
         return self._pixels
 
     def _average_pixels(self, pixels: Image) -> Image:
-        """Return a part of an image of the fine size, or the whole one, in the final size."""
+        """Average the fine pixels of an image or of an aligned part; without supersampling, return `pixels` itself."""
         fine, part = self._fine_rect, pixels.shape
         if (fine.width, fine.height) == (self._width, self._height):
             return pixels
