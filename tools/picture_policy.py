@@ -85,7 +85,9 @@ class PictureNet(nn.Module):
     def forward(self, images: Sequence[torch.Tensor], joints: torch.Tensor) -> torch.Tensor:
         """Return actions (batch, chunk, numbers) for images (batch, 3, height, width) and joints (batch, drives)."""
         features = [trunk(image) for trunk, image in zip(self.trunks, images, strict=True)]
-        return self.head(torch.cat([*features, joints], dim=1)).unflatten(1, (CHUNK, -1))
+        actions = self.head(torch.cat([*features, joints], dim=1)).unflatten(1, (CHUNK, -1))
+        # Drives are commanded near the present joints, which are scaled alike: the layers learn the difference.
+        return actions + nn.functional.pad(joints, (0, actions.shape[-1] - joints.shape[-1]))[:, None]
 
 
 def _trunk(height: int, width: int) -> nn.Sequential:
@@ -133,7 +135,7 @@ def augment(image: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
 
 
 def train(demos: Path, out: Path, *, steps: int, seed: int, episodes: int | None = None, batch: int = BATCH) -> float:
-    """Train on the first `episodes` of a dataset, write the weights to `out`, and return the mean of the last losses."""
+    """Train on the first `episodes` of a dataset, write weights to `out`, and return the mean of the last losses."""
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
     windows = ChunkWindows(open_dataset(demos)[:episodes], [SCENE_CAMERA, WRIST_CAMERA], chunk=CHUNK)
