@@ -85,9 +85,7 @@ class PictureNet(nn.Module):
     def forward(self, images: Sequence[torch.Tensor], joints: torch.Tensor) -> torch.Tensor:
         """Return actions (batch, chunk, numbers) for images (batch, 3, height, width) and joints (batch, drives)."""
         features = [trunk(image) for trunk, image in zip(self.trunks, images, strict=True)]
-        actions = self.head(torch.cat([*features, joints], dim=1)).unflatten(1, (CHUNK, -1))
-        # Drives are commanded near the present joints, which are scaled alike: the layers learn the difference.
-        return actions + nn.functional.pad(joints, (0, actions.shape[-1] - joints.shape[-1]))[:, None]
+        return self.head(torch.cat([*features, joints], dim=1)).unflatten(1, (CHUNK, -1))
 
 
 def _trunk(height: int, width: int) -> nn.Sequential:
