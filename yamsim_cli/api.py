@@ -18,6 +18,7 @@ from .session_opener import SessionOpener
 
 if TYPE_CHECKING:
     from .core.dataset.reader import StoredEpisodes
+    from .correction_record import Actor
     from .recording.recorder import RecordReport
 
 
@@ -88,9 +89,7 @@ def record(
     return run(session, output, executors, watch, StopRequest())
 
 
-def open_dataset(
-    path: str | Path, *, selection: str | Path | None = None, who: Literal["expert", "policy"] | None = None
-) -> StoredEpisodes:
+def open_dataset(path: str | Path, *, selection: str | Path | None = None, who: Actor | None = None) -> StoredEpisodes:
     """Return the episodes of a dataset as a sequence, with `len`, indices, slices and iteration.
 
     Each episode has `record`, `frames()` and `image(camera, number)`. The list of episodes is read immediately, and the

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 WHO = "who"  # frame key; only in corrections
 EXPERT, POLICY = 0, 1  # its values
+Actor = Literal["expert", "policy"]
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,7 @@ from .core.dataset.records import EpisodeRecord
 from .core.errors import ConfigError, DatasetError, UsageError, count_noun
 from .core.files.documents.yaml_document import parse_yaml
 from .core.files.writing import sha256_file, write_file
+from .correction_record import Actor
 
 SELECTION_FILE = "selection.yaml"  # name of the file beside the episodes
 SELECTION_FORMAT = "yamsim-selection"  # value of `format`
@@ -42,7 +43,6 @@ _LINE_START = "- "  # of the line of an episode
 E = TypeVar("E", bound=RecordedEpisode)
 M = TypeVar("M", bound=BaseModel)
 Decision = Literal["keep", "drop", "undecided"]
-Actor = Literal["expert", "policy"]
 
 
 def _require_one_line(text: str) -> str:

@@ -260,7 +260,7 @@ def test_what_does_not_fit_is_left_out_and_named(filed: Station) -> None:
     assert len([line for line in lines if "thin-prism" in line]) == 1
     assert len([line for line in lines if "radtan has only these" in line]) == 2
     assert all(f"left out: {line}" in run.err for line in lines)
-    # A format that was asked for by name must fit.
+    # A format that `--format` names must fit.
     named = filed.export("--format", "ros", "--format", "inspect_robots", out="named")
     assert (named.code, "does not fit inspect_robots: " in named.message) == (2, True)
     assert not (filed.folder / "named").exists()

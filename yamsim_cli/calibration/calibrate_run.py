@@ -135,7 +135,7 @@ class StationCalibrator:
         return outcome
 
     def estimate_wrist_cameras(self, moves: Sequence[WristCameraMoves]) -> list[WristOutcome]:
-        """Return the poses on the flange of the wrist cameras that were asked for.
+        """Return the poses of the requested wrist cameras on the flange.
 
         Both grippers look alike, so a camera of the other arm fits as well as the right one. It is refused by `moves`,
         which says with which arm its pictures change.

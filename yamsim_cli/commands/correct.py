@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
+from yamsim_cli.flags import policy_options as policy_flags
 from yamsim_cli.flags import session_options as flags
-from yamsim_cli.flags.output_files import RenameExisting, open_mode
+from yamsim_cli.flags.output_files import ContinueDataset, RenameExisting, open_mode
 from yamsim_cli.flags.session_options import session_opener, session_settings
 from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
 from yamsim_cli.terminal.signals import stop_on_signal
@@ -42,44 +43,15 @@ def correct(
         list[str] | None,
         typer.Option(help="A keyword for your own policy's class; may be repeated.", metavar="KEY=VALUE"),
     ] = None,
-    policy_config: Annotated[
-        str | None,
-        typer.Option(
-            help="Names that a policy of another program uses: a config of the kind policies.  "
-            "[default: by the policy's protocol]"
-        ),
-    ] = None,
-    execute: Annotated[
-        int | None,
-        typer.Option(
-            min=1, metavar="K", help="Actions of a chunk to execute before the policy is called again.  [default: all]"
-        ),
-    ] = None,
-    ensemble: Annotated[
-        float | None,
-        typer.Option(
-            min=0,
-            max=100,
-            metavar="DECAY",
-            help="Average chunks that overlap; each newer chunk weighs less by exp(-DECAY).",
-        ),
-    ] = None,
-    latency: Annotated[
-        str,
-        typer.Option(
-            help="Simulated time from an observation until the policy's answer acts: 80ms, 0.08s, or measured.",
-            metavar="TIME",
-        ),
-    ] = "0ms",
+    policy_config: policy_flags.PolicyConfig = None,
+    execute: policy_flags.Execute = None,
+    ensemble: policy_flags.Ensemble = None,
+    latency: policy_flags.Latency = "0ms",
     time_limit: Annotated[
         float | None, typer.Option(min=0.001, help="Longest trial of the policy, simulated s.  [default: the task's]")
     ] = None,
-    policy_timeout: Annotated[
-        float, typer.Option(min=0.001, help="Real seconds that one answer of the policy may take.")
-    ] = 30.0,
-    trial_timeout: Annotated[
-        float, typer.Option(min=1, help="Real seconds after which a trial's worker counts as hung.")
-    ] = 600.0,
+    policy_timeout: policy_flags.PolicyTimeout = 30.0,
+    trial_timeout: policy_flags.TrialTimeout = 600.0,
     grasp: flags.Grasp = None,
     wrist: flags.Wrist = None,
     camera: flags.Cameras = None,
@@ -87,7 +59,7 @@ def correct(
     randomize: flags.Randomize = None,
     randomization: flags.Randomization = None,
     size: flags.Size = None,
-    jpeg_quality: Annotated[int | None, typer.Option(help="JPEG quality, 1 to 100.")] = None,
+    jpeg_quality: flags.JpegQuality = None,
     quality: flags.Quality = None,
     task: flags.Task = None,
     item: flags.Object = None,
@@ -97,7 +69,7 @@ def correct(
     revision: flags.Revision = None,
     robot: flags.Robot = None,
     arm: flags.Arm = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
+    resume: ContinueDataset = False,
     overwrite: RenameExisting = False,
     stage: flags.Stage = None,
     config: flags.ConfigOption = "default",

@@ -10,7 +10,7 @@ import typer
 
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.flags import session_options as flags
-from yamsim_cli.flags.output_files import RenameExisting, open_mode
+from yamsim_cli.flags.output_files import ContinueDataset, RenameExisting, open_mode
 from yamsim_cli.flags.session_options import session_opener
 from yamsim_cli.session_opener import parse_camera_effects, parse_size
 from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
@@ -61,7 +61,7 @@ def draw(
         bool | None, typer.Option("--truth/--no-truth", help="Also depth, segmentation, keypoints and boxes.")
     ] = None,
     workers: flags.Workers = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
+    resume: ContinueDataset = False,
     overwrite: RenameExisting = False,
     stage: flags.Stage = None,
     attempt_timeout: flags.AttemptTimeout = 600.0,

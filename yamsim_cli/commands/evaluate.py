@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from yamsim_cli.core.errors import UsageError
+from yamsim_cli.flags import policy_options as policy_flags
 from yamsim_cli.flags import session_options as flags
 from yamsim_cli.flags.output_files import ReportFile, VideoTrials, require_unused_reports, write_json_report
 from yamsim_cli.flags.session_options import session_opener, session_settings
@@ -31,13 +32,7 @@ def evaluate(
             metavar="KEY=VALUE",
         ),
     ] = None,
-    policy_config: Annotated[
-        str | None,
-        typer.Option(
-            help="Names that a policy of another program uses: a config of the kind policies.  "
-            "[default: by the policy's protocol]"
-        ),
-    ] = None,
+    policy_config: policy_flags.PolicyConfig = None,
     trained_on: Annotated[
         Path | None,
         typer.Option(
@@ -46,38 +41,15 @@ def evaluate(
             "differences are reported.  [default: that of the policy's config or checkpoint]",
         ),
     ] = None,
-    execute: Annotated[
-        int | None,
-        typer.Option(
-            min=1, metavar="K", help="Actions of a chunk to execute before the policy is called again.  [default: all]"
-        ),
-    ] = None,
-    ensemble: Annotated[
-        float | None,
-        typer.Option(
-            min=0,
-            max=100,
-            metavar="DECAY",
-            help="Average chunks that overlap; each newer chunk weighs less by exp(-DECAY).",
-        ),
-    ] = None,
-    latency: Annotated[
-        str,
-        typer.Option(
-            help="Simulated time from an observation until the policy's answer acts: 80ms, 0.08s, or measured.",
-            metavar="TIME",
-        ),
-    ] = "0ms",
+    execute: policy_flags.Execute = None,
+    ensemble: policy_flags.Ensemble = None,
+    latency: policy_flags.Latency = "0ms",
     threshold: flags.Threshold = None,
     time_limit: Annotated[
         float | None, typer.Option(min=0.001, help="Longest trial, simulated s.  [default: the task's]")
     ] = None,
-    policy_timeout: Annotated[
-        float, typer.Option(min=0.001, help="Real seconds that one answer of the policy may take.")
-    ] = 30.0,
-    trial_timeout: Annotated[
-        float, typer.Option(min=1, help="Real seconds after which a trial's worker counts as hung.")
-    ] = 600.0,
+    policy_timeout: policy_flags.PolicyTimeout = 30.0,
+    trial_timeout: policy_flags.TrialTimeout = 600.0,
     min_success: flags.MinSuccess = None,
     compare: Annotated[
         list[str] | None,

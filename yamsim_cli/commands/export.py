@@ -14,6 +14,7 @@ from yamsim_cli.terminal.console import note_moved, print_json, print_line, prin
 if TYPE_CHECKING:
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.files.resources import Locations
+    from yamsim_cli.correction_record import Actor
     from yamsim_cli.export.export_source import ActionSource, RealSource, SimulatedSource
     from yamsim_cli.export.output_directory import ExportResult
     from yamsim_cli.export.raiden_schema import RaidenOptions
@@ -425,7 +426,7 @@ def _open_dataset(
     dataset: Path,
     episodes: str | None,
     selection: Path | None,
-    who: Literal["expert", "policy"] | None,
+    who: Actor | None,
     fps: float | None = None,
     actions: ActionSource | None = None,
 ) -> SimulatedSource | RealSource:

@@ -11,7 +11,7 @@ import typer
 
 from yamsim_cli.core.errors import UsageError, count_noun
 from yamsim_cli.flags import session_options as flags
-from yamsim_cli.flags.output_files import RenameExisting, open_mode
+from yamsim_cli.flags.output_files import ContinueDataset, RenameExisting, open_mode
 from yamsim_cli.flags.session_options import session_opener, session_settings
 from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
 from yamsim_cli.terminal.signals import stop_on_signal
@@ -65,9 +65,9 @@ def record(
         float | None, typer.Option(min=1, max=100, help="Frames a second: 30, 15 or 10.  [default: 15.625]")
     ] = None,
     size: flags.Size = None,
-    jpeg_quality: Annotated[int | None, typer.Option(help="JPEG quality, 1 to 100.")] = None,
+    jpeg_quality: flags.JpegQuality = None,
     quality: flags.Quality = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
+    resume: ContinueDataset = False,
     overwrite: RenameExisting = False,
     stage: flags.Stage = None,
     executor: Annotated[

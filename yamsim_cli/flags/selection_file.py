@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from yamsim_cli.correction_record import Actor
 from yamsim_cli.terminal.console import print_note
 
 if TYPE_CHECKING:
@@ -19,16 +20,14 @@ SelectionFile = Annotated[
     ),
 ]
 Who = Annotated[
-    Literal["expert", "policy"] | None,
+    Actor | None,
     typer.Option(
         "--who", help="Only the frames in which the expert acts, or the policy, in a dataset of `yamsim correct`."
     ),
 ]
 
 
-def selection_of(
-    dataset: Path, file: Path | None, who: Literal["expert", "policy"] | None = None
-) -> AppliedSelection | None:
+def selection_of(dataset: Path, file: Path | None, who: Actor | None = None) -> AppliedSelection | None:
     """Compare a selection with its dataset, and print what the selection leaves out; None without a file and `who`."""
     if file is None and who is None:
         return None

@@ -104,6 +104,7 @@ Disturb = Annotated[
     ),
 ]
 Size = Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pixels.")]
+JpegQuality = Annotated[int | None, typer.Option(help="JPEG quality, 1 to 100.")]
 Boards = Annotated[bool | None, typer.Option("--boards/--no-boards", help="Also show the base boards.")]
 Stage = Annotated[
     Path | None,

@@ -27,7 +27,7 @@ _CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # names of files and R
 
 
 def require_formats(names: Sequence[str]) -> None:
-    """Raise UsageError if one of the names is not a format."""
+    """Raise UsageError if there is no format of one of the names."""
     for name in names:
         if name not in FORMATS:
             raise UsageError(f"--format {name!r} is not valid; {suggest_similar(name, list(FORMATS))}")
