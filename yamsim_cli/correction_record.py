@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 WHO = "who"  # frame key; only in corrections
 EXPERT, POLICY = 0, 1  # its values
+POLICY_SUCCEEDED = "policy_succeeded"  # cause in the ledger of a trial in which there was nothing to correct
 Actor = Literal["expert", "policy"]
 
 

@@ -201,10 +201,14 @@ def test_demonstrations_are_the_experts(
     assert run.code == 4 and "no frame in which the policy acts" in run.message
 
 
-def test_summarize_accepts_the_dataset(made: tuple[Path, CorrectionReport]) -> None:
+def test_a_summary_does_not_count_trials_in_which_the_policy_succeeded(
+    made: tuple[Path, CorrectionReport],
+) -> None:
     shown = yamsim("summarize", made[0], "--json")
     assert shown.code == 0, shown.err
     assert shown.json["problems"] == []
+    attempts = shown.json["attempts"]
+    assert (attempts["n"], attempts["n_success"], attempts["causes"]) == (1, 1, {})
 
 
 def test_a_run_is_continued_and_says_that_there_was_nothing_to_correct(tmp_path: Path, run: Run) -> None:

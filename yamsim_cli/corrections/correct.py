@@ -21,13 +21,14 @@ from ..core.errors import PartialJobError, count_noun
 from ..core.workers.executors import LostJobError
 from ..core.workers.process_pool import ProcessPool
 from ..core.workers.stop_request import StopRequest
+from ..correction_record import POLICY_SUCCEEDED
 from ..policies.evaluate.policy_choice import PolicyChoice
 from ..policies.evaluate.policy_trial import POLICY_FAULT_ENDS
 from ..recording.collect import Collector, EpisodeExecutor, RecordCallbacks
 from ..recording.executor_factories import ExecutorFactory
 from ..recording.recorder import RecordReport, fill_dataset, require_recordable
 from ..recording.recording_output import RecordingOutput
-from .correction_runner import POLICY_SUCCEEDED, CorrectionPayload, CorrectionRunner
+from .correction_runner import CorrectionPayload, CorrectionRunner
 from .takeover import require_one_rigid_object
 
 CORRECTION_SOURCE = "correct"  # value of `source` in the records of episodes

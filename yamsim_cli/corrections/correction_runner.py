@@ -17,12 +17,10 @@ from ..core.episode.episode_rules import REPLAY_RULES
 from ..core.episode.execution import simulate_actions, simulate_expert
 from ..core.episode.runner import require_stated_meshes
 from ..core.episode.simulator import Simulator
-from ..correction_record import CorrectionRecord, with_who
+from ..correction_record import POLICY_SUCCEEDED, CorrectionRecord, with_who
 from ..policies.evaluate.policy_choice import PolicyChoice
 from ..policies.evaluate.policy_trial import MEASURED_ENDS, TrialResult, TrialRunner
 from .takeover import ExpertTakeover, takeover_frame
-
-POLICY_SUCCEEDED = "policy_succeeded"  # cause in the ledger of a trial in which there was nothing to correct
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from ..core.dataset.checks.context import CheckContext
 from ..core.dataset.checks.problem import DatasetProblem, ProblemCollector, count_errors, printable_line
 from ..core.dataset.records import AttemptRecord
 from ..core.statistics import Coverage, compute_coverage, compute_histogram, summarize_values, wilson_interval_95
+from ..correction_record import POLICY_SUCCEEDED
 from .checks.dataset_checks import check_dataset, read_ledger
 from .checks.episode_facts import EpisodeFacts
 
@@ -22,7 +23,11 @@ CELL_M = 0.05  # m, largest cell width: about the width of a banana
 
 @dataclass(frozen=True)
 class CheckResults:
-    """Result of checking a dataset."""
+    """Result of checking a dataset.
+
+    Attributes:
+        attempts: all attempts at an episode: without trials of `yamsim correct` in which the policy succeeded.
+    """
 
     path: Path
     context: CheckContext
@@ -50,6 +55,7 @@ def combine_checks(
     found = check_dataset(dataset, context, episodes, attempts, problems)
     found += [problem for episode in episodes for problem in episode.problems]
     found.sort(key=lambda problem: problem.episode)
+    attempts = [attempt for attempt in attempts if attempt.outcome.cause != POLICY_SUCCEEDED]
     return CheckResults(dataset, context, episodes, attempts, [*problems.all_problems(), *found])
 
 
