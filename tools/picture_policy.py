@@ -4,8 +4,8 @@
     yamsim eval --policy tools/picture_policy.py:PicturePolicy --policy-arg weights=picture_policy.pt \
         --trained-on demos --execute 2 --ensemble 0.01
 
-One convolutional trunk reads the scene camera's image, cropped to the table, and another one reads the wrist camera's
-image at half size. A linear layer follows each trunk, and three linear layers map both and the joints to a chunk of
+Convolutions map the scene camera's image, cropped to the table, to feature maps. A spatial softmax reduces each map to
+the mean position of its feature in the image. Four linear layers map these positions and the joints to a chunk of
 absolute actions. The loss is the mean absolute error (L1).
 """
 
@@ -15,7 +15,7 @@ import argparse
 import copy
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,16 +26,15 @@ from torch import nn
 
 from yamsim_cli import ChunkWindows, ShuffledBatches, open_dataset
 
-SCENE_CAMERA, WRIST_CAMERA = "scene_camera", "right_wrist_camera"
+SCENE_CAMERA = "scene_camera"
 # Left, top, right and bottom edge as shares of the image: the table, seen by the rig `single`.
 CROP = (0.125, 0.29, 0.875, 0.96)
 CHUNK = 32  # actions of 64 ms in an answer
 TICKS = 2  # control ticks of an action: two for each frame of a dataset
-CHANNELS, MAPS, FEATURES = 32, 16, 256  # channels of convolutions and of the last one, outputs of linear layers
-BATCH, LEARNING_RATE, WEIGHT_DECAY = 64, 1.5e-3, 1e-3
+CHANNELS, MAPS, WIDTH = 32, 32, 512  # channels of convolutions and of the last one, outputs of linear layers
+BATCH, LEARNING_RATE, WEIGHT_DECAY = 64, 3e-3, 1e-3
 AVERAGE = 0.995  # share of the old value in the running mean of the weights, at each step
 BRIGHTNESS = 0.1  # largest random change of the gain of each colour, as a share
-SHIFT = 1  # px, largest random shift of the image
 JOINT_NOISE = 0.02  # standard deviation of noise on joints, in their own standard deviations
 SMALLEST_DEVIATION = 1e-3  # rad or m, so that a drive that hardly moves is not scaled to noise
 
@@ -61,49 +60,62 @@ class Scaling:
         return cls(*found)
 
 
+class SpatialSoftmax(nn.Module):
+    """Feature maps to the mean position of each, weighted by the softmax of its values.
+
+    Args:
+        height, width: size of the maps, px.
+    """
+
+    def __init__(self, height: int, width: int) -> None:
+        super().__init__()
+        rows, columns = torch.meshgrid(torch.linspace(-1, 1, height), torch.linspace(-1, 1, width), indexing="ij")
+        self.register_buffer("positions", torch.stack([columns.flatten(), rows.flatten()], dim=1))
+
+    def forward(self, maps: torch.Tensor) -> torch.Tensor:
+        """Return positions (batch, 2 * maps), -1 to 1, of maps (batch, maps, height, width)."""
+        return (maps.flatten(2).softmax(dim=2) @ self.positions).flatten(1)
+
+
 class PictureNet(nn.Module):
     """Image and joints to a chunk of actions, all scaled.
 
     Args:
-        shapes: (height, width) of the scene's and of the wrist's image, px.
+        height, width: size of the cropped image, px.
         drives: number of joints, with the gripper.
         numbers: length of an action.
     """
 
-    def __init__(self, shapes: Sequence[tuple[int, int]], drives: int, numbers: int) -> None:
+    def __init__(self, height: int, width: int, drives: int, numbers: int) -> None:
         super().__init__()
-        self.trunks = nn.ModuleList(_trunk(height, width) for height, width in shapes)
-        width = FEATURES * len(shapes) + drives
+        inner = [
+            layer
+            for _ in range(2)
+            for layer in (nn.Conv2d(CHANNELS, CHANNELS, 3, padding=1), nn.GroupNorm(4, CHANNELS), nn.ReLU())
+        ]
+        self.convolutions = nn.Sequential(
+            nn.Conv2d(3, CHANNELS, 5, stride=2, padding=2),
+            nn.ReLU(),
+            *inner,
+            nn.Conv2d(CHANNELS, MAPS, 3, padding=1),
+        )
+        self.softmax = SpatialSoftmax(math.ceil(height / 2), math.ceil(width / 2))
         self.head = nn.Sequential(
-            nn.Linear(width, FEATURES),
+            nn.Linear(2 * MAPS + drives, WIDTH),
             nn.ReLU(),
-            nn.Linear(FEATURES, FEATURES),
+            nn.Linear(WIDTH, WIDTH),
             nn.ReLU(),
-            nn.Linear(FEATURES, CHUNK * numbers),
+            nn.Linear(WIDTH, WIDTH),
+            nn.ReLU(),
+            nn.Linear(WIDTH, CHUNK * numbers),
         )
 
-    def forward(self, images: Sequence[torch.Tensor], joints: torch.Tensor) -> torch.Tensor:
+    def forward(self, image: torch.Tensor, joints: torch.Tensor) -> torch.Tensor:
         """Return actions (batch, chunk, numbers) for images (batch, 3, height, width) and joints (batch, drives)."""
-        features = [trunk(image) for trunk, image in zip(self.trunks, images, strict=True)]
-        return self.head(torch.cat([*features, joints], dim=1)).unflatten(1, (CHUNK, -1))
-
-
-def _trunk(height: int, width: int) -> nn.Sequential:
-    inner = [
-        layer
-        for _ in range(2)
-        for layer in (nn.Conv2d(CHANNELS, CHANNELS, 3, padding=1), nn.GroupNorm(4, CHANNELS), nn.ReLU())
-    ]
-    return nn.Sequential(
-        nn.Conv2d(3, CHANNELS, 5, stride=2, padding=2),
-        nn.ReLU(),
-        *inner,
-        nn.Conv2d(CHANNELS, MAPS, 3, padding=1),
-        nn.ReLU(),
-        nn.Flatten(),
-        nn.Linear(MAPS * math.ceil(height / 2) * math.ceil(width / 2), FEATURES),
-        nn.ReLU(),
-    )
+        # Positions and actions need more digits than bfloat16 has.
+        with torch.autocast("cpu", torch.bfloat16, enabled=self.training):
+            maps = self.convolutions(image)
+        return self.head(torch.cat([self.softmax(maps.float()), joints], dim=1)).unflatten(1, (CHUNK, -1))
 
 
 def crop(images: np.ndarray) -> np.ndarray:
@@ -113,33 +125,25 @@ def crop(images: np.ndarray) -> np.ndarray:
     return images[..., top:bottom, left:right, :]
 
 
-def halve(images: np.ndarray) -> np.ndarray:
-    """Return images (..., height, width, 3) at half their size; each pixel is the mean of four."""
-    height, width = (size // 2 for size in images.shape[-3:-1])
-    blocks = images[..., : 2 * height, : 2 * width, :].reshape(*images.shape[:-3], height, 2, width, 2, 3)
-    return blocks.mean(axis=(-4, -2)).astype(np.uint8)
-
-
 def to_input(images: np.ndarray) -> torch.Tensor:
     """Convert images (batch, height, width, 3), uint8, to an input (batch, 3, height, width), -1 to 1."""
     return torch.from_numpy(np.ascontiguousarray(images)).permute(0, 3, 1, 2).float() / 127.5 - 1
 
 
 def augment(image: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-    """Vary the gain of colours of each image, and shift all images of a batch alike; edges wrap around."""
+    """Vary the gain of the colours of each image."""
     gain = 1 + BRIGHTNESS * (2 * torch.rand(len(image), 3, 1, 1, generator=generator) - 1)
-    x, y = (int(torch.randint(-SHIFT, SHIFT + 1, (1,), generator=generator)) for _ in range(2))
-    return torch.roll((image + 1) * gain - 1, (y, x), dims=(2, 3))
+    return (image + 1) * gain - 1
 
 
 def train(demos: Path, out: Path, *, steps: int, seed: int, episodes: int | None = None, batch: int = BATCH) -> float:
     """Train on the first `episodes` of a dataset, write weights to `out`, and return the mean of the last losses."""
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
-    windows = ChunkWindows(open_dataset(demos)[:episodes], [SCENE_CAMERA, WRIST_CAMERA], chunk=CHUNK)
+    windows = ChunkWindows(open_dataset(demos)[:episodes], [SCENE_CAMERA], chunk=CHUNK)
     scaling, first = Scaling.of(windows), windows[0]
-    shapes = [image.shape[:2] for image in (crop(first[SCENE_CAMERA]), halve(first[WRIST_CAMERA]))]
-    net = PictureNet(shapes, first["joints"].size, first["action"].shape[-1])
+    shape = crop(first[SCENE_CAMERA]).shape[:2]
+    net = PictureNet(*shape, first["joints"].size, first["action"].shape[-1])
     net = net.to(memory_format=torch.channels_last)
     averaged = copy.deepcopy(net)
     optimizer = torch.optim.AdamW(net.parameters(), LEARNING_RATE, weight_decay=WEIGHT_DECAY)
@@ -153,13 +157,9 @@ def train(demos: Path, out: Path, *, steps: int, seed: int, episodes: int | None
             joints = (torch.from_numpy(window["joints"]) - scaling.joint_mean) / scaling.joint_deviation
             joints = joints + JOINT_NOISE * torch.randn(joints.shape, generator=generator)
             wanted = (torch.from_numpy(window["action"]) - scaling.action_mean) / scaling.action_deviation
-            images = [
-                augment(to_input(image), generator).contiguous(memory_format=torch.channels_last)
-                for image in (crop(window[SCENE_CAMERA]), halve(window[WRIST_CAMERA]))
-            ]
-            with torch.autocast("cpu", torch.bfloat16):
-                answer = net(images, joints)
-            loss = nn.functional.l1_loss(answer.float(), wanted)
+            image = augment(to_input(crop(window[SCENE_CAMERA])), generator)
+            answer = net(image.contiguous(memory_format=torch.channels_last), joints)
+            loss = nn.functional.l1_loss(answer, wanted)
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
@@ -177,21 +177,21 @@ def train(demos: Path, out: Path, *, steps: int, seed: int, episodes: int | None
                 )
             if done == steps:
                 break
-    torch.save({"weights": averaged.state_dict(), "scaling": vars(scaling), "shapes": shapes}, out)
+    torch.save({"weights": averaged.state_dict(), "scaling": vars(scaling), "shape": shape}, out)
     return float(np.mean(losses[-100:]))
 
 
 class PicturePolicy:
     """The trained policy for `yamsim eval`."""
 
-    images = ("scene", "wrist")
+    images = ("scene",)
     ticks = TICKS
 
     def __init__(self, weights: str) -> None:
         stored = torch.load(weights, weights_only=True)
-        self._scaling, self._shapes = Scaling(**stored["scaling"]), [tuple(shape) for shape in stored["shapes"]]
+        self._scaling, self._shape = Scaling(**stored["scaling"]), tuple(stored["shape"])
         drives, numbers = len(self._scaling.joint_mean), len(self._scaling.action_mean)
-        self._net = PictureNet(self._shapes, drives, numbers).eval()
+        self._net = PictureNet(*self._shape, drives, numbers).eval()
         self._net.load_state_dict(stored["weights"])
         torch.set_num_threads(1)
 
@@ -200,14 +200,14 @@ class PicturePolicy:
 
     def __call__(self, observation: Mapping[str, Any]) -> dict[str, Any]:
         """Return a chunk of commands and welds."""
-        images = crop(observation["scene_rgb"]), halve(observation["wrist_rgb"])
-        if (shapes := [image.shape[:2] for image in images]) != self._shapes:
-            raise ValueError(f"the images are {shapes}, in training {self._shapes}: give --trained-on")
+        image = crop(observation["scene_rgb"])
+        if (shape := image.shape[:2]) != self._shape:
+            raise ValueError(f"the cropped image is {shape}, in training {self._shape}: give --trained-on")
         scaling = self._scaling
         joints = torch.from_numpy(np.asarray(observation["joints"], np.float32))
         with torch.inference_mode():
             scaled = (joints - scaling.joint_mean) / scaling.joint_deviation
-            answer = self._net([to_input(image[None]) for image in images], scaled[None])
+            answer = self._net(to_input(image[None]), scaled[None])
         actions = (answer[0] * scaling.action_deviation + scaling.action_mean).numpy()
         drives = len(joints)
         return {"ctrl": actions[:, :drives], "magnet": actions[:, drives:] > 0.5}
