@@ -61,19 +61,20 @@ def _features(image: Image, region: NDArray[np.bool_], blur: float) -> Array:
     grey = lab[..., 0]
     gradient = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
     detail = cv2.Laplacian(grey, cv2.CV_32F)
-    rows = []
-    for top in range(0, grey.shape[0] - PATCH + 1, PATCH):
-        for left in range(0, grey.shape[1] - PATCH + 1, PATCH):
-            place = np.s_[top : top + PATCH, left : left + PATCH]
-            if region[place].mean() < _SHARE:
-                continue
-            colours = lab[place].reshape(-1, 3)
-            low, high = np.quantile(colours[:, 0], (0.05, 0.95))
-            spread = np.log(colours.std(axis=0) + 0.1)
-            edges = np.log([gradient[place].mean() + 0.1, gradient[place].std() + 0.1, detail[place].std() + 0.1])
-            middle = np.log(np.median(np.abs(detail[place])) + 0.1)
-            rows.append([*colours.mean(axis=0), *spread, *edges, middle, low, high, np.hypot(*colours[:, 1:].mean(0))])
-    return np.array(rows).reshape(-1, 13)
+    kept = _patches(region.astype(np.float32)).mean(axis=1) >= _SHARE
+    colours, slopes, details = (_patches(np.asarray(part, np.float32))[kept] for part in (lab, gradient, detail))
+    means, levels = colours.mean(axis=1), colours[..., 0]
+    chroma = np.hypot(means[:, 1], means[:, 2])
+    spreads = [slopes.mean(axis=1), slopes.std(axis=1), details.std(axis=1), np.median(np.abs(details), axis=1)]
+    logs = np.log(np.column_stack([colours.std(axis=1), *spreads]) + 0.1)
+    return np.column_stack([means, logs, np.quantile(levels, 0.05, axis=1), np.quantile(levels, 0.95, axis=1), chroma])
+
+
+def _patches(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the pixels of all whole patches, (n, PATCH * PATCH) or (n, PATCH * PATCH, channels)."""
+    rows, columns = values.shape[0] // PATCH, values.shape[1] // PATCH
+    grid = values[: rows * PATCH, : columns * PATCH].reshape(rows, PATCH, columns, PATCH, *values.shape[2:])
+    return grid.swapaxes(1, 2).reshape(rows * columns, PATCH * PATCH, *values.shape[2:])
 
 
 def _expanded(x: Array) -> Array:
