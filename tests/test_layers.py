@@ -146,7 +146,7 @@ CONFINED = {
     "reportlab": {"photos.board_sheet"},
     "viser": {"viewers"},
     "ray": {"recording.ray_pool"},
-    "av": {"core.images.video"},
+    "av": {"core.images.video", "video_compression"},
     "pyarrow": {"export", "real.recordings.lerobot_files"},
     "mcap": {"real.recordings.mcap_file", "export.abc"},
     "rerun": {"export.rrd"},
