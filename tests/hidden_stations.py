@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
+import mujoco
 import numpy as np
 
 from yamsim_cli.camera_effects.lens_distortion import LensWarp
@@ -28,6 +30,8 @@ from yamsim_cli.core.scene.randomized_model import texture_image
 from yamsim_cli.match.station_renderer import StationRenderer
 from yamsim_cli.scene_photos.embedded_photos import photo_text
 
+# Renders a model's camera of a name in a size (width, height), px, at positions (nq,), as RGB (height, width, 3).
+RenderPositions = Callable[[mujoco.MjModel, Sequence[Array], str, tuple[int, int]], list[np.ndarray]]
 NOISE, BLUR, JPEG = 2.0, 0.5, 92  # grey levels, px, quality
 _TEXTURES = ("plain", "wood", "concrete", "noise", "marble", "terrazzo")
 # Another renderer setting than the one that matches: finer shadows and edges, and whole meshes.
@@ -95,21 +99,34 @@ def hidden_station(
     return HiddenStation(rig, scene, direction, camera, pose(place, R), postures)
 
 
-def take_photos(station: HiddenStation, locations: Locations, seed: int = 0) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return an RGB photo (height, width, 3) and the mask of the arms (height, width) for each posture."""
+def take_photos(
+    station: HiddenStation, locations: Locations, seed: int = 0, render: RenderPositions | None = None
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return an RGB photo (height, width, 3) and the mask of the arms (height, width) for each posture.
+
+    Args:
+        render: another renderer of the images; the masks have the same.
+    """
     warp = LensWarp(station.camera, 2)
     size = warp.ideal.width, warp.ideal.height
     T = station.T_cam_in_world
     view = SceneCamera("photo", WORLD_BODY, pose(T[:3, 3], opencv_from_mujoco(T[:3, :3])), math.degrees(warp.fovy))
     rng = np.random.default_rng(seed)
-    taken = []
+    images, masks, positions = [], [], []
     with StationRenderer(station.rig, station.scene, PHOTO_QUALITY, view, size, locations) as renderer:
         for posture in station.postures:
             renderer.set_postures(posture)
-            clean = cv2.GaussianBlur(warp.distort_picture(renderer.render()), (0, 0), BLUR)
-            noisy = np.clip(clean + rng.normal(0, NOISE, clean.shape), 0, 255).round().astype(np.uint8)
-            mask = warp.distort_picture(renderer.masks()[0].astype(np.uint8), nearest=True) > 0
-            taken.append((noisy, mask))
+            positions.append(renderer._data.qpos.copy())
+            if render is None:
+                images.append(renderer.render())
+            masks.append(warp.distort_picture(renderer.masks()[0].astype(np.uint8), nearest=True) > 0)
+        if render is not None:
+            images = render(renderer._model, positions, view.name, size)
+    taken = []
+    for image, mask in zip(images, masks, strict=True):
+        clean = cv2.GaussianBlur(warp.distort_picture(image), (0, 0), BLUR)
+        noisy = np.clip(clean + rng.normal(0, NOISE, clean.shape), 0, 255).round().astype(np.uint8)
+        taken.append((noisy, mask))
     return taken
 
 

@@ -37,6 +37,7 @@ from .core.rendering.renderer import GeomIds, SceneRenderer
 from .core.scene.random_streams import Stream, random_generator
 from .core.sim.state_replay import StateReplay
 from .scene_photos.embedded_photos import Plate, decode_photo
+from .video_compression import VideoCompression
 
 _MAX_ROUND_TRIP = 1e-3  # of x/z and y/z, error of a projection and its inverse, which agree where the model is valid
 _EDGE_PX = 3  # px, width of the transition between a plate and what is before it
@@ -308,6 +309,7 @@ class EffectsCamera:
         self._effects = effects
         self._period = frame_period
         self._sensor = Sensor(effects)
+        self._video = VideoCompression(effects.h264_qp, effects.h264_key_frames) if effects.h264_qp else None
 
     def take(
         self, renderer: SceneRenderer, replica: StateReplay, positions: Sequence[Array], frame: int, out: Image
@@ -329,10 +331,15 @@ class EffectsCamera:
         renderer.render(replica.data, self.name, out)
 
     def expose(self, image: Image, job: AttemptJob, frame: int) -> None:
-        """Apply the sensor to an image (height, width, 3) in place; the noise depends only on job, camera and frame."""
+        """Apply the sensor to an image (height, width, 3) in place; the noise depends only on job, camera and frame.
+
+        H.264 needs all frames of an attempt in their order.
+        """
         left, top, right, bottom = self._effects.picture_box(image.shape[1], image.shape[0])
         picture = np.ascontiguousarray(image[top:bottom, left:right])
         self._sensor.apply(picture, _noise_generator(job, frame, self._number))
+        if self._video is not None:
+            self._video.apply(picture, frame)
         image[top:bottom, left:right] = picture
 
 

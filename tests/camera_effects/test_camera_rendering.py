@@ -188,6 +188,7 @@ def test_files_have_the_same_bytes_again(make_simulator: MakeSimulator, motion: 
     effects = LENSES["fisheye"] | {
         "full_well_e": 2000,
         "jpeg_quality": 60,
+        "h264_qp": 30,
         "exposure_ms": 10,
         "readout_ms": 10,
         "delay_frames": 1,
@@ -196,6 +197,7 @@ def test_files_have_the_same_bytes_again(make_simulator: MakeSimulator, motion: 
     simulator = make_simulator(effects)
     first = encode_images(simulator, attempt, positions[:4])
     assert first == encode_images(make_simulator(effects), attempt, positions[:4])
+    assert first == encode_images(simulator, attempt, positions[:4]), "the video begins again"
     noisy = make_simulator({"full_well_e": 2000})
     still = [positions[0]] * 3
     files = encode_images(noisy, attempt, still)

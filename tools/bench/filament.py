@@ -1,7 +1,7 @@
 """How many boards are found in photos by a physically based renderer: soft shadows, filtered textures, noise, JPEG.
 
-MuJoCo's Filament renderer needs Python 3.12 and, without a display, a Vulkan driver in software (on Debian,
-`mesa-vulkan-drivers` and `libvulkan1`). In an environment of that Python with yamsim's packages:
+The renderer needs Python 3.12 and a Vulkan driver, see `filament_pictures`. In an environment of that Python with
+yamsim's packages:
 
     MUJOCO_GL=egl python -m tools.bench.filament --photos 60 --keep out/bench/filament
 """
@@ -15,11 +15,11 @@ import time
 from pathlib import Path
 
 import cv2
-import mujoco
 import numpy as np
 from rich.console import Console
 
 from tests.truth_photos import Photographer, shot_of, spoilt
+from tools.bench.filament_pictures import FilamentRenderer
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, invert_pose, rotation_vector
@@ -30,45 +30,6 @@ from yamsim_cli.photos.fiducials.board_localization import locate_boards
 WRONG = (3.0, 15.0)
 BLUR, NOISE, JPEG = 0.4, 2.0, 90
 SIZES = {"vga": (640, 480, 600.0), "hd": (1280, 720, 900.0)}
-
-
-class Filament:
-    """Renders a photographer's scene with Filament."""
-
-    def __init__(self, photographer: Photographer) -> None:
-        # They come with Python 3.12 only; the window's module registers materials.
-        import mujoco.studio.window
-        from mujoco import mjrf
-        from mujoco.rendering.filament.model_scene import ModelScene
-        from mujoco.rendering.filament.renderer import Renderer, View
-
-        camera = photographer.camera
-        self._model, self._data = photographer._model, photographer._data
-        self._picture = np.zeros((camera.height, camera.width, 3), np.uint8)
-        config = mjrf.ContextConfig(graphics_api=mjrf.GraphicsApi.GRAPHICS_API_VULKAN, software_rendering=True)
-        self._renderer = Renderer(mjrf.Context(config))
-        self._scene = ModelScene(self._renderer.context, self._model, self._renderer.scene("photo"))
-        self._renderer.target("photo", self._picture)
-        self._view = View("photo", "photo")
-        self._options, self._abstract = mujoco.MjvOption(), mujoco.MjvScene(self._model, 1000)
-        self._fixed = mujoco.MjvCamera()
-        self._fixed.type, self._fixed.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self._model.camera("photo").id
-        # Both eyes of the stereo camera coincide: the photo has one eye.
-        self._model.cam_ipd[self._fixed.fixedcamid] = 0.0
-        self._model.cam_fovy[self._fixed.fixedcamid] = math.degrees(
-            2 * math.atan(camera.height / 2 / camera.mean_focal_length)
-        )
-
-    def take(self) -> np.ndarray:
-        """The picture as RGB (height, width, 3)."""
-        mujoco.mj_forward(self._model, self._data)
-        mujoco.mjv_updateScene(
-            self._model, self._data, self._options, None, self._fixed, mujoco.mjtCatBit.mjCAT_ALL, self._abstract
-        )
-        self._scene.update(self._data)
-        self._view.camera = self._abstract.camera[0]
-        self._renderer.render([self._view])
-        return self._picture.copy()
 
 
 def off(seen: BoardDetection, truth: Array) -> tuple[float, float]:
@@ -96,7 +57,11 @@ def main() -> None:
     boards = found = wrong = 0
     errors, times = [], []
     with Photographer("russet", Locations.from_environment(os.environ), camera) as photographer:
-        filament = Filament(photographer)
+        model, data = photographer._model, photographer._data
+        model.cam_fovy[model.camera("photo").id] = math.degrees(
+            2 * math.atan(camera.height / 2 / camera.mean_focal_length)
+        )
+        filament = FilamentRenderer(model, "photo", (camera.width, camera.height))
         placed = photographer.boards
         T_rig = [one.T_in_world for one in placed]
         for k in range(options.photos):
@@ -104,7 +69,7 @@ def main() -> None:
             T_cam = shot_of(
                 photographer, rng, distance, (0.0, math.radians(options.tilt)), int(rng.integers(len(placed)))
             )
-            photo = spoilt(filament.take(), rng, blur=BLUR, noise=NOISE, jpeg=JPEG)
+            photo = spoilt(filament.render(data), rng, blur=BLUR, noise=NOISE, jpeg=JPEG)
             if options.keep:
                 cv2.imwrite(str(options.keep / f"{k:03d}.png"), photo)
             began = time.thread_time()

@@ -1,10 +1,14 @@
 """Errors of `yamsim match` for stations with hidden truth, and its likeness to a photo that was not given to it.
 
     python -m tools.bench.match [--stations N] [--first SEED] [--photos N] [--size 640x480] [--picture FILE]
+        [--filament PYTHON]
 
 Each station has its own light, table texture, floor, camera with distortion and arm postures. Photos have whole meshes,
 finer shadows and edges, noise, blur and JPEG; the match has reduced meshes. The camera's pose is given, as by a
 calibration. Seeds below 100 served development, those above did not.
+
+With `--filament`, another renderer makes the photos: physically based shading and other tones, by a Python 3.12 with
+`mujoco-studio`, see `filament_pictures`. The renderings "before" have the scene that was not matched.
 """
 
 from __future__ import annotations
@@ -15,14 +19,18 @@ import math
 import os
 import resource
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from tests.hidden_stations import HiddenStation, calibration_of, hidden_station, take_photos
+from tests.hidden_stations import HiddenStation, RenderPositions, calibration_of, hidden_station, take_photos
+from tools.bench.filament_pictures import render_elsewhere
+from tools.bench.likeness import COARSE, ViewOfStation, accuracy
+from tools.bench.pictures import ssim
 from yamsim_cli.core.files.writing import scratch_directory, write_file
 from yamsim_cli.core.images.image import Image
 from yamsim_cli.core.images.jpeg import encode_jpeg
@@ -30,6 +38,15 @@ from yamsim_cli.core.images.png import encode_png
 from yamsim_cli.session_opener import SessionOpener, parse_size
 
 _JPEG = 92
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Figures of a station, its unseen photo with renderings of the same state, and all of them side by side."""
+
+    figures: dict[str, Any]
+    view: ViewOfStation
+    row: Image
 
 
 def main() -> None:
@@ -40,23 +57,38 @@ def main() -> None:
     parser.add_argument("--photos", type=int, default=3)
     parser.add_argument("--size", default="640x480")
     parser.add_argument("--picture", type=Path, help="JPEG of photos, matches and the scene before")
+    parser.add_argument("--filament", type=Path, metavar="PYTHON", help="renders the photos with Filament")
     given = parser.parse_args()
     opener = SessionOpener(os.environ, lambda text: print(text, file=sys.stderr), str)
-    results, rows = [], []
+    render = partial(render_elsewhere, given.filament.absolute()) if given.filament else None
+    stations = []
     for seed in range(given.first, given.first + given.stations):
-        found, row = measure(opener, seed, given.photos, parse_size(given.size))
-        print(json.dumps(found), flush=True)
-        results.append(found)
-        rows.append(row)
-    for key in (key for key in results[0] if key != "seed"):
-        values = sorted(found[key] for found in results)
+        stations.append(measure(opener, seed, given.photos, parse_size(given.size), render))
+        print(json.dumps(stations[-1].figures), flush=True)
+    for key in (key for key in stations[0].figures if key != "seed"):
+        values = sorted(one.figures[key] for one in stations)
         print(f"{key}: median {np.median(values):.3g}, {values[0]:.3g} to {values[-1]:.3g}")
+    if len(stations) > 1:
+        print_accuracies([one.view for one in stations])
     if given.picture:
-        write_file(given.picture, encode_jpeg(np.concatenate(rows), 88))
+        write_file(given.picture, encode_jpeg(np.concatenate([one.row for one in stations]), 88))
 
 
-def measure(opener: SessionOpener, seed: int, photos: int, size: tuple[int, int]) -> tuple[dict[str, Any], Image]:
-    """Return the figures of a station, and its unseen photo, the match and the scene before, side by side."""
+def print_accuracies(views: list[ViewOfStation]) -> None:
+    """Print how well photos and renderings are told apart, held out."""
+    for region in ("all", "arms"):
+        for blur in (0.0, COARSE):
+            shares = {
+                name: accuracy(views, name, arms_only=region == "arms", blur=blur) for name in views[0].renderings
+            }
+            told = ", ".join(f"{name} {share:.3f}" for name, share in shares.items())
+            print(f"classifier, {region}, blurred by {blur:g} px: {told}")
+
+
+def measure(
+    opener: SessionOpener, seed: int, photos: int, size: tuple[int, int], render: RenderPositions | None
+) -> Measured:
+    """Match a station to some photos, and compare the result with one more. `render` makes the photos, if given."""
     from yamsim_cli.calibration.calibration_file import load_calibration
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.rendering import RenderConfig
@@ -70,7 +102,7 @@ def measure(opener: SessionOpener, seed: int, photos: int, size: tuple[int, int]
     where = opener.with_mesh_folders(where, visual_mesh_sets(Blueprint(station.rig, station.scene)))
     base, studio = (load_config(SceneConfig, "scenes", name, where) for name in ("tabletop", "studio"))
     quality = load_config(RenderConfig, "quality", "balanced", where)
-    taken = take_photos(station, where, seed)
+    taken = take_photos(station, where, seed, render)
     with scratch_directory("match_") as folder:
         (folder / "masks").mkdir()
         for k, (photo, mask) in enumerate(taken):
@@ -101,12 +133,15 @@ def measure(opener: SessionOpener, seed: int, photos: int, size: tuple[int, int]
         "unseen_arms_after": _apart(after, photo, arms),
         "unseen_all_before": _apart(before, photo, np.ones_like(arms)),
         "unseen_all_after": _apart(after, photo, np.ones_like(arms)),
+        "unseen_ssim_before": ssim(before, photo),
+        "unseen_ssim_after": ssim(after, photo),
         "filled_percent": 100 * done.plate.filled_share,
         "cpu_s": seconds,
     }
     shown = [cv2.resize(image, (320, 240), interpolation=cv2.INTER_AREA) for image in (photo, after, before)]
     rounded = {key: round(value, 4) for key, value in figures.items()}
-    return rounded, np.asarray(np.concatenate(shown, axis=1), np.uint8)
+    view = ViewOfStation(photo, {"before": before, "after": after}, arms)
+    return Measured(rounded, view, np.asarray(np.concatenate(shown, axis=1), np.uint8))
 
 
 def _unseen(

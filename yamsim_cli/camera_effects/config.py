@@ -27,8 +27,8 @@ _Time = Annotated[FiniteFloat, QuantityBounds("ms", 0, 500)]
 class CameraEffects(Config):
     """Differences of a real camera's images from those of an ideal pinhole camera with the same field of view.
 
-    Effects apply in this order: delay, shutter, lens with `crop` and `letterbox`, exposure, white balance, noise, JPEG.
-    A key that is left out has no effect.
+    Effects apply in this order: delay, shutter, lens with `crop` and `letterbox`, exposure, white balance, noise, JPEG,
+    H.264. A key that is left out has no effect.
 
     Attributes:
         lens: model of `distortion`: OpenCV's standard model, or its fisheye model.
@@ -42,6 +42,10 @@ class CameraEffects(Config):
             gain divides this number.
         read_noise_e: standard deviation of the read noise, electrons.
         jpeg_quality: quality of the JPEG compression in the camera, 1 to 100, before the image is stored.
+        h264_qp: quantiser of H.264 compression in the camera, 1 to 51, before the image is stored; 6 more double its
+            step. An image depends on those before it, as in a video. It needs the extra `video`.
+        h264_key_frames: number of frames from one key frame of `h264_qp` to the next; with 1, each image is compressed
+            alone.
         crop: left, top, right and bottom edge of the part of the sensor's image that is kept, as shares of its size.
             The field of view and `principal_point` are those of the whole sensor.
         letterbox: aspect ratio (width / height) of the picture; black bars fill the rest of the image. Without it, the
@@ -63,6 +67,8 @@ class CameraEffects(Config):
     full_well_e: _FullWell | None = None
     read_noise_e: _ReadNoise = 0.0
     jpeg_quality: int | None = Field(default=None, ge=1, le=100)
+    h264_qp: int | None = Field(default=None, ge=1, le=51)
+    h264_key_frames: int = Field(default=30, ge=1, le=1000)
     crop: tuple[_Share, _Share, _Share, _Share] | None = None
     letterbox: _AspectRatio | None = None
     exposure_ms: _Time = 0.0

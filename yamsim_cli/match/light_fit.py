@@ -23,12 +23,19 @@ from .station_renderer import Light, StationRenderer
 
 HEADLIGHT = 0.15  # diffuse of the light at the camera in all scenes, see `core.scene.environment`
 _BASIS = 0.5  # of each light in its basis image: white stays below 255
-_ELEVATIONS, _AZIMUTHS = (25.0, 45.0, 65.0, 85.0), 12  # degrees above the horizontal; steps around the vertical
-_REFINEMENTS = (10.0, 5.0)  # degrees, steps around the best direction
+_GRID = {20.0: 16, 40.0: 14, 60.0: 9, 80.0: 4}  # degrees above the horizontal -> steps around the vertical, some 20 deg
+# Degrees between a direction and its eight neighbours -> from how many of the best directions.
+_REFINEMENTS = {11.0: 4, 6.0: 3, 3.0: 1}
+# Sigma of a blur, as a share of the width, with which the table's shadows are compared before the last refinement: the
+# thin shadow of an arm does not overlap with that of a light which is 10 degrees away.
+_BLUR = 0.03
+_LOWEST, _HIGHEST = 5.0, 89.0  # degrees above the horizontal, between which a light is
 _TRIM = 0.9  # share of pixels that the fit keeps: highlights and wrong outlines are no shading
 _SATURATED = 250  # of 255, above which a photo's colour is no measure of the light
 _EDGE_PX = 2  # px, border of the arms that is left out
 _MIN_PIXELS = 50  # of the arms, without which the light is unknown
+
+_Place = tuple[float, float]  # elevation above the horizontal, and azimuth, of a light, degrees
 
 
 @dataclass(frozen=True)
@@ -62,29 +69,43 @@ class _Basis:
 def fit_light(renderer: StationRenderer, photos: Sequence[StationPhoto], progress: Progress) -> LightFit | None:
     """Return the light whose images are most like the photos; None if too little of the arms is visible.
 
-    The table is taken as evenly coloured. The renderer keeps a white table afterwards.
+    The table is taken as evenly coloured. Its brightness in the light and in the arms' shadows is free: cameras have
+    tone curves, and the renderer has none. The renderer keeps a white table afterwards.
     """
     renderer.show_white_table()
     bases = [_basis(renderer, photo) for photo in photos]
     if sum(int(basis.arms.sum()) for basis in bases) < _MIN_PIXELS:
         return None
-    turns = np.arange(_AZIMUTHS) * 360.0 / _AZIMUTHS
-    tried = {place: _fit(renderer, bases, *place) for place in itertools.product(_ELEVATIONS, map(float, turns))}
-    best = min(tried, key=lambda place: _error(tried[place]))
-    for number, step in enumerate(_REFINEMENTS):
+    tried: dict[_Place, tuple[LightFit, float]] = {}
+
+    def best(count: int, blurred: bool) -> list[_Place]:
+        def error(place: _Place) -> float:
+            fit, blurred_error = tried[place]
+            return fit.arm_error + (blurred_error if blurred else fit.table_error)
+
+        return sorted(tried, key=error)[:count]
+
+    for up, count in _GRID.items():
+        for k in range(count):
+            tried[up, 360.0 * k / count] = _fit(renderer, bases, up, 360.0 * k / count)
+    for number, (step, starts) in enumerate(_REFINEMENTS.items()):
         progress(number + 1, len(_REFINEMENTS) + 1)
-        for up, around in itertools.product((-step, 0.0, step), repeat=2):
-            # The same step on the sphere needs a larger turn near the vertical.
-            place = (min(best[0] + up, 89.0), best[1] + around / max(0.2, math.cos(math.radians(best[0]))))
-            if place[0] > 5.0 and place not in tried:
+        for place in (near for start in best(starts, number < 2) for near in _neighbours(start, step)):
+            if place not in tried:
                 tried[place] = _fit(renderer, bases, *place)
-        best = min(tried, key=lambda place: _error(tried[place]))
     progress(len(_REFINEMENTS) + 1, len(_REFINEMENTS) + 1)
-    return tried[best]
+    return tried[best(1, False)[0]][0]
 
 
-def _error(fit: LightFit) -> float:
-    return fit.arm_error + fit.table_error
+def _neighbours(place: _Place, step: float) -> list[_Place]:
+    """Return the directions around one, at distances of `step`, degrees, and its diagonal."""
+    found = []
+    for up, around in itertools.product((-step, 0.0, step), repeat=2):
+        # The same step on the sphere needs a larger turn near the vertical.
+        turn = around / max(0.2, math.cos(math.radians(place[0])))
+        if _LOWEST < place[0] + up < 90.0 + step:
+            found.append((min(place[0] + up, _HIGHEST), (place[1] + turn) % 360.0))
+    return found
 
 
 def _direction(elevation: float, azimuth: float) -> tuple[float, float, float]:
@@ -105,23 +126,35 @@ def _basis(renderer: StationRenderer, photo: StationPhoto) -> _Basis:
     return _Basis(photo, core, table & ~near, *images)
 
 
-def _fit(renderer: StationRenderer, bases: Sequence[_Basis], elevation: float, azimuth: float) -> LightFit:
+def _fit(
+    renderer: StationRenderer, bases: Sequence[_Basis], elevation: float, azimuth: float
+) -> tuple[LightFit, float]:
+    """Return the best light of a direction, and the difference on the table if photo and fit are blurred."""
     dark, direction = (0.0,) * 3, _direction(elevation, azimuth)
     renderer.set_light(Light(dark, (_BASIS,) * 3, direction, dark))
     arms: list[list[Array]] = []
     surfaces: list[list[Array]] = []
+    blurred: list[list[Array]] = []
     for basis in bases:
         renderer.set_postures(basis.photo.postures)
         images = basis.photo.image, basis.ambient, renderer.render(), basis.headlight
         arms.append([np.asarray(image[basis.arms], np.float64) for image in images])
-        surfaces.append([np.asarray(image[basis.table], np.float64) for image in images])
+        surfaces.append([np.asarray(image[basis.table], np.float64) for image in images[:3]])
+        blurred.append([_blurred(image, basis.table) for image in images[:3]])
     seen, *parts = (np.concatenate(part) for part in zip(*arms, strict=True))
     columns = [part / _BASIS for part in parts]
     strengths = np.array([_fit_channel(seen[:, k], *(part[:, k] for part in columns)) for k in range(3)])
     made = columns[0] * strengths[:, 0] + columns[1] * strengths[:, 1] + columns[2] * HEADLIGHT
     arm_error = float(np.abs(seen - np.clip(made, 0, 255)).mean())
     light = Light(tuple(strengths[:, 0]), tuple(strengths[:, 1]), direction, (HEADLIGHT,) * 3)
-    return LightFit(light, arm_error, _table_error(surfaces, strengths))
+    return LightFit(light, arm_error, _table_error(surfaces)), _table_error(blurred)
+
+
+def _blurred(image: Image, region: NDArray[np.bool_]) -> Array:
+    """Return the colours (n, 3) of a region after a blur that mixes them with each other alone."""
+    sigma, inside = _BLUR * image.shape[1], region.astype(np.float32)
+    mixed = cv2.GaussianBlur(image * inside[..., None], (0, 0), sigma)
+    return np.asarray(mixed[region] / cv2.GaussianBlur(inside, (0, 0), sigma)[region, None], np.float64)
 
 
 def _fit_channel(seen: Array, ambient: Array, diffuse: Array, headlight: Array) -> tuple[float, float]:
@@ -143,11 +176,14 @@ def _fit_channel(seen: Array, ambient: Array, diffuse: Array, headlight: Array) 
     return float(strengths[0]), float(strengths[1])
 
 
-def _table_error(surfaces: Sequence[Sequence[Array]], strengths: Array) -> float:
-    """Return the mean difference of the table's colours to those of an evenly coloured table, of 255."""
-    seen, ambient, diffuse, fixed = (np.concatenate(parts) for parts in zip(*surfaces, strict=True))
+def _table_error(surfaces: Sequence[Sequence[Array]]) -> float:
+    """Return the mean difference of the table's colours to those of an evenly coloured table, of 255.
+
+    Its brightness in ambient and in directional light is fitted. Only the place of shadows counts, not their depth.
+    """
+    seen, ambient, diffuse = (np.concatenate(parts) for parts in zip(*surfaces, strict=True))
     if not len(seen):
         return 0.0
-    shade = (ambient * strengths[:, 0] + diffuse * strengths[:, 1] + fixed * HEADLIGHT) / _BASIS
-    albedo = np.median(seen / np.maximum(shade, 1.0), axis=0)
-    return float(np.abs(seen - albedo * shade).mean())
+    none = np.zeros(len(seen))
+    levels = np.array([_fit_channel(seen[:, k], ambient[:, k], diffuse[:, k], none) for k in range(3)])
+    return float(np.abs(seen - ambient * levels[:, 0] - diffuse * levels[:, 1]).mean())
