@@ -1,7 +1,7 @@
 """How many boards are found in photos by a physically based renderer: soft shadows, filtered textures, noise, JPEG.
 
-MuJoCo's Filament renderer needs Python 3.12 and, without a display, a Vulkan driver in software (on Debian,
-`mesa-vulkan-drivers` and `libvulkan1`). In an environment of that Python with yamsim's packages:
+MuJoCo's Filament renderer needs the package `mujoco-studio` and, without a display, a Vulkan driver in software (on
+Debian, `mesa-vulkan-drivers` and `libvulkan1`):
 
     MUJOCO_GL=egl python -m tools.bench.filament --photos 60 --keep out/bench/filament
 """
@@ -9,6 +9,7 @@ MuJoCo's Filament renderer needs Python 3.12 and, without a display, a Vulkan dr
 from __future__ import annotations
 
 import argparse
+import collections.abc
 import math
 import os
 import time
@@ -29,35 +30,35 @@ from yamsim_cli.photos.fiducials.board_localization import locate_boards
 # deg and mm; poses with larger errors are wrong
 WRONG = (3.0, 15.0)
 BLUR, NOISE, JPEG = 0.4, 2.0, 90
+_MAX_GEOMS = 2000  # of a scene
 SIZES = {"vga": (640, 480, 600.0), "hd": (1280, 720, 900.0)}
 
 
-class Filament:
-    """Renders a photographer's scene with Filament."""
+class FilamentRenderer:
+    """Renders a model's camera with Filament, in pictures of a width and height, px."""
 
-    def __init__(self, photographer: Photographer) -> None:
-        # They come with Python 3.12 only; the window's module registers materials.
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, camera: str, size: tuple[int, int]) -> None:
+        if not hasattr(collections.abc, "Buffer"):
+            # Python 3.12 brought it. MuJoCo's modules name it in annotations.
+            collections.abc.Buffer = object  # type: ignore[attr-defined]
+        # They come with `mujoco-studio`; the window's module registers materials.
         import mujoco.studio.window
         from mujoco import mjrf
         from mujoco.rendering.filament.model_scene import ModelScene
         from mujoco.rendering.filament.renderer import Renderer, View
 
-        camera = photographer.camera
-        self._model, self._data = photographer._model, photographer._data
-        self._picture = np.zeros((camera.height, camera.width, 3), np.uint8)
+        self._model, self._data = model, data
+        self._picture = np.zeros((size[1], size[0], 3), np.uint8)
         config = mjrf.ContextConfig(graphics_api=mjrf.GraphicsApi.GRAPHICS_API_VULKAN, software_rendering=True)
         self._renderer = Renderer(mjrf.Context(config))
         self._scene = ModelScene(self._renderer.context, self._model, self._renderer.scene("photo"))
         self._renderer.target("photo", self._picture)
         self._view = View("photo", "photo")
-        self._options, self._abstract = mujoco.MjvOption(), mujoco.MjvScene(self._model, 1000)
+        self._options, self._abstract = mujoco.MjvOption(), mujoco.MjvScene(self._model, _MAX_GEOMS)
         self._fixed = mujoco.MjvCamera()
-        self._fixed.type, self._fixed.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self._model.camera("photo").id
+        self._fixed.type, self._fixed.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self._model.camera(camera).id
         # Both eyes of the stereo camera coincide: the photo has one eye.
         self._model.cam_ipd[self._fixed.fixedcamid] = 0.0
-        self._model.cam_fovy[self._fixed.fixedcamid] = math.degrees(
-            2 * math.atan(camera.height / 2 / camera.mean_focal_length)
-        )
 
     def take(self) -> np.ndarray:
         """The picture as RGB (height, width, 3)."""
@@ -69,6 +70,13 @@ class Filament:
         self._view.camera = self._abstract.camera[0]
         self._renderer.render([self._view])
         return self._picture.copy()
+
+
+def photo_renderer(photographer: Photographer) -> FilamentRenderer:
+    """Return a renderer of a photographer's scene."""
+    camera, model = photographer.camera, photographer._model
+    model.cam_fovy[model.camera("photo").id] = math.degrees(2 * math.atan(camera.height / 2 / camera.mean_focal_length))
+    return FilamentRenderer(model, photographer._data, "photo", (camera.width, camera.height))
 
 
 def off(seen: BoardDetection, truth: Array) -> tuple[float, float]:
@@ -96,7 +104,7 @@ def main() -> None:
     boards = found = wrong = 0
     errors, times = [], []
     with Photographer("russet", Locations.from_environment(os.environ), camera) as photographer:
-        filament = Filament(photographer)
+        filament = photo_renderer(photographer)
         placed = photographer.boards
         T_rig = [one.T_in_world for one in placed]
         for k in range(options.photos):
