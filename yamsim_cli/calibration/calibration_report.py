@@ -132,6 +132,8 @@ def _with_focal_scale(model: CameraModel, scale: float) -> tuple[Numbers3, Numbe
 def _calibrated_arm(name: str, number: int, fit: StationFit, intervals: StationIntervals) -> CalibratedArm:
     T, offsets, widths = fit.state.T_arm_in_base[number], fit.state.offsets[number], intervals.offsets[number]
     prior = FitPriors(()).offset
+    # In the base that is written, the measured first joint is true.
+    offsets, widths = (np.concatenate([[0.0], values[1:]]) for values in (offsets, widths))
     return CalibratedArm(
         name=name,
         position=_numbers(T[:3, 3]),
