@@ -2,12 +2,12 @@
 
     python -m tools.bench.calibrate [--stations N] [--first SEED] [--size 640x480] [--task swap] [--keep out/bench]
     python -m tools.bench.calibrate --renderer filament --size 640x480 --hand
-    python -m tools.bench.calibrate --arms 2 --task handover --wrist --size 640x480
+    python -m tools.bench.calibrate --arms 2 --wrist --size 640x480
 
 Each station has its own camera, lights, table and floor, four episodes of `pickplace` with distractors (or as `--task`
 and `--episodes` say), joint offsets, a delay of the pictures and an error of the given focal length. Pictures have full
-meshes, shadows, noise, blur and JPEG; the fit renders the same meshes without light. With `--arms 2`, the second base is
-not where the rig has it, and with `--wrist`, wrist cameras are not. `--renderer filament` takes the fixed camera's
+meshes, shadows, noise, blur and JPEG; the fit renders the same meshes without light. With `--arms 2`, the second base
+is not where the rig has it, and with `--wrist`, wrist cameras are not. `--renderer filament` takes the fixed camera's
 pictures with MuJoCo's physically based renderer, see `tools.bench.filament`. Seeds up to 1010 served development, those
 above did not. A given focal length is not changed: its error is that of the planted camera file.
 

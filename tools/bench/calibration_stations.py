@@ -259,24 +259,26 @@ def record_station(seed: int, folder: Path, options: StationOptions) -> Planted:
     delay = float(rng.uniform(0, MAX_DELAY))
     first = load_frame(next((folder / "clean").glob("ep_*/lowdim/*.pkl")).read_bytes())
     matrices = {name: np.array(K, dtype=np.float64) for name, K in first["intrinsics"].items()}
-    focal = float(matrices[CAMERA][0, 0])
     lens = _write_cameras(folder, matrices, options, rng)
     spoil = _Spoiling(options, offsets, delay, lens, rng)
     spoil.write_episodes(sorted((folder / "clean").glob("ep_*")), folder)
-    return _truth(rig, options, np.asarray(first["extrinsics"][CAMERA], dtype=np.float64), offsets, delay, focal)
+    return _truth(rig, first, options, offsets, delay)
 
 
-def _truth(
-    rig: RigConfig, options: StationOptions, T_cam_in_base: Array, offsets: Array, delay: float, focal: float
-) -> Planted:
-    """Return the truth; the offset of an arm's first joint turns the base in which its measured joints are true."""
+def _truth(rig: RigConfig, first: Mapping[str, Any], options: StationOptions, offsets: Array, delay: float) -> Planted:
+    """Return the truth of the cameras in an episode's first frame.
+
+    The offset of an arm's first joint turns the base in which its measured joints are true.
+    """
+    recorded = first["intrinsics"]
     own = pose(rotation=rotation_z(float(offsets[0])))
+    T_cam_in_base, focal = np.asarray(first["extrinsics"][CAMERA], np.float64), float(recorded[CAMERA][0][0])
     second = None
     if options.arms == 2:
         left, right = rig.recording_order
         T = invert_pose(rig.T_base_in_world(left)) @ rig.T_base_in_world(right)
         second = own @ T @ pose(rotation=rotation_z(-float(offsets[6])))
-    wrists = {arm.wrist_camera_name: wrist_camera_pose(arm) for arm in rig.arms} if options.wrist else {}
+    wrists = {name: wrist_camera_pose(arm) for arm in rig.arms if (name := arm.wrist_camera_name) in recorded}
     return Planted(own @ T_cam_in_base, offsets, delay, focal, second, wrists)
 
 
