@@ -10,10 +10,17 @@ import numpy as np
 import pytest
 
 from yamsim_cli.calibration.calibrate_run import offset_refusal
+from yamsim_cli.calibration.episode_pictures import EpisodePictures
 from yamsim_cli.calibration.station_fit import DELAY, FitPriors, Layout, StationProblem, start_state
 from yamsim_cli.calibration.uncertainty import _with_joint2_error
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.geometry.se3 import pose, rotation_z
+from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector, rotation_vector, rotation_z
+from yamsim_cli.photos.overlay.body_views import BodyRenderer
 
 
 def test_the_priors_hold_the_rig_and_not_the_start_of_the_fit(station: RigConfig) -> None:
@@ -32,6 +39,29 @@ def test_the_priors_hold_the_rig_and_not_the_start_of_the_fit(station: RigConfig
     np.testing.assert_allclose(moved[problem.layout.offsets(other)], 0.03)
     place = problem.layout.base(other)
     np.testing.assert_allclose(moved[place], [0, 0, 0.01, 0, 0, 0.02], atol=1e-9)
+
+
+def test_an_offset_of_the_first_joint_turns_the_base_body_and_no_link(locations: Locations) -> None:
+    rig = load_config(RigConfig, "rigs", "single", locations)
+    scene = load_config(SceneConfig, "scenes", "studio", locations)
+    quality = load_config(RenderConfig, "quality", "fast", locations)
+    joints = np.array([[0.3, 0.5, 0.4, 0.1, 0.2, 0.0]] * 2)
+    episode = EpisodePictures("", np.array([0.0, 1.0]), (joints,), (np.zeros(2),), {})
+    T_base_in_cam = pose((0.0, 0.1, 1.0), rotation_from_vector([2.0, 0.3, 0.2]))
+    with BodyRenderer(rig, scene, quality, CameraModel.from_focal_length(64, 48, 60.0), locations) as renderer:
+        state = start_state(rig, [T_base_in_cam], [0.0], len(renderer.arm_of_body))
+
+        def poses(offset: float) -> list[Array]:
+            own = replace(state, offsets=(np.array([offset, 0, 0, 0, 0, 0]),))
+            renderer.set_poses(own.base_poses(0), own.postures(episode, 0.5, 0))
+            return list(renderer.body_poses())
+
+        before, after = poses(0.0), poses(0.02)
+        links = renderer.moved_by[0][0]
+        base = (renderer.arm_of_body == 0) & ~links
+    np.testing.assert_allclose(np.array(after)[links], np.array(before)[links], atol=1e-6)
+    for old, new in zip(np.array(before)[base], np.array(after)[base], strict=True):
+        np.testing.assert_allclose(rotation_vector(new[:3, :3] @ old[:3, :3].T), 0.02 * T_base_in_cam[:3, 2], atol=1e-6)
 
 
 def test_an_error_of_the_second_joint_widens_what_follows_it() -> None:

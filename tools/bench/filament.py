@@ -1,7 +1,6 @@
 """How many boards are found in photos by a physically based renderer: soft shadows, filtered textures, noise, JPEG.
 
-The renderer needs Python 3.12 and a Vulkan driver, see `filament_pictures`. In an environment of that Python with
-yamsim's packages:
+The renderer needs the package `mujoco-studio` and a Vulkan driver, see `filament_pictures`:
 
     MUJOCO_GL=egl python -m tools.bench.filament --photos 60 --keep out/bench/filament
 """

@@ -1,13 +1,14 @@
 """Renders states of a compiled model with MuJoCo's Filament renderer, a physically based one.
 
-It needs Python 3.12 with the packages `mujoco-studio` and `numpy` alone and, without a display, a Vulkan driver in
-software (on Debian, `mesa-vulkan-drivers` and `libvulkan1`). Benchmarks of older Pythons run it as a program:
+It needs the packages `mujoco-studio` and `numpy` alone and, without a display, a Vulkan driver in software (on Debian,
+`mesa-vulkan-drivers` and `libvulkan1`). Benchmarks run it as a program of the Python that has `mujoco-studio`:
 
-    python3.12 tools/bench/filament_pictures.py MODEL.mjb POSITIONS.npy CAMERA WIDTHxHEIGHT PICTURES.npy
+    python tools/bench/filament_pictures.py MODEL.mjb POSITIONS.npy CAMERA WIDTHxHEIGHT PICTURES.npy
 """
 
 from __future__ import annotations
 
+import collections.abc
 import subprocess
 import sys
 import tempfile
@@ -26,7 +27,10 @@ class FilamentRenderer:
     """Renders a model's camera, px. Lights of the model keep their directions; Filament has its own units and tones."""
 
     def __init__(self, model: mujoco.MjModel, camera: str, size: tuple[int, int]) -> None:
-        # They come with Python 3.12 only; the window's module registers materials.
+        if not hasattr(collections.abc, "Buffer"):
+            # Python 3.12 brought it. MuJoCo's modules name it in annotations.
+            collections.abc.Buffer = object  # type: ignore[attr-defined]
+        # They come with `mujoco-studio`; the window's module registers materials.
         import mujoco.studio.window
         from mujoco import mjrf
         from mujoco.rendering.filament.model_scene import ModelScene

@@ -109,14 +109,16 @@ def _calibrated_camera(
     outcome: CameraOutcome, number: int, fit: StationFit, intervals: StationIntervals
 ) -> CalibratedCamera:
     T, model = invert_pose(fit.state.T_base_in_cam[number]), outcome.model
-    # A known focal length stays as given: the fit only allows for its error.
+    # A known focal length stays as given, with the error that its file has: the fit only allows for it.
+    focal_95 = Z95 * model.focal_sigma
     if not outcome.is_focal_known:
+        focal_95 = intervals.log_focal[number]
         model = replace(model, K=_with_focal_scale(model, math.exp(fit.state.log_focal[number])))
     return CalibratedCamera(
         name=outcome.name,
         **_model_and_pose(model, T, intervals.cameras[number]),
         focal="given" if outcome.is_focal_known else "estimated",
-        focal_95_percent=100 * intervals.log_focal[number],
+        focal_95_percent=100 * focal_95,
         delay_ms=1000 * fit.state.delays[number],
         delay_95_ms=1000 * intervals.delays[number],
         frames=int(outcome.figures["frames"]),
@@ -132,6 +134,8 @@ def _with_focal_scale(model: CameraModel, scale: float) -> tuple[Numbers3, Numbe
 def _calibrated_arm(name: str, number: int, fit: StationFit, intervals: StationIntervals) -> CalibratedArm:
     T, offsets, widths = fit.state.T_arm_in_base[number], fit.state.offsets[number], intervals.offsets[number]
     prior = FitPriors(()).offset
+    # In the base that is written, the measured first joint is true.
+    offsets, widths = (np.concatenate([[0.0], values[1:]]) for values in (offsets, widths))
     return CalibratedArm(
         name=name,
         position=_numbers(T[:3, 3]),

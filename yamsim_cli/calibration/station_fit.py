@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..core.attempt_data import ArmPosture
 from ..core.config.rig import RigConfig
-from ..core.geometry.se3 import Array, invert_pose, rotation_vector
+from ..core.geometry.se3 import Array, invert_pose, pose, rotation_vector, rotation_z
 from ..photos.edge_alignment import (
     EdgeOffsets,
     MaskOutline,
@@ -73,8 +73,7 @@ class FitPriors:
     still_biases: tuple[float, float, float] = (0.3, 0.3, 0.3)
 
 
-# rad; a turn of a base about its first joint's axis looks like an offset of that joint, which is therefore 0.
-_HELD = 1e-7
+_HELD = 1e-7  # least standard deviation of a focal length's logarithm, a delay (s) and an offset (rad): held
 
 
 @dataclass(frozen=True)
@@ -82,12 +81,14 @@ class StationState:
     """The estimated values.
 
     Attributes:
-        T_base_in_cam: pose (4, 4) of the reference arm's base in each camera.
+        T_base_in_cam: pose (4, 4) of the reference arm's base in each camera. Bases are those in which the measured
+            first joint is true, because an offset of it turns all links like a turn of the base.
         log_focal: logarithm of each camera's focal length over the given one.
         delays: of each camera, s: its pictures show the arms as they were this much earlier than stamped.
         margins: of each camera, px.
         biases: of each camera's bodies (3 x nbody,), px.
-        offsets: of each arm's joints (dof,), rad: measured minus true.
+        offsets: of each arm's joints (dof,), rad: measured minus true. That of the first joint is how far the base
+            body is turned from the base in which the measured joint is true.
         T_arm_in_base: pose (4, 4) of each arm's base in the reference arm's base.
     """
 
@@ -104,8 +105,14 @@ class StationState:
         return episode.postures_at(time - self.delays[camera], self.offsets)
 
     def base_poses(self, camera: int) -> dict[int, Array]:
-        """Return the pose (4, 4) of each arm's base in a camera."""
-        return {arm: self.T_base_in_cam[camera] @ T for arm, T in enumerate(self.T_arm_in_base)}
+        """Return the pose (4, 4) of each arm's base in a camera, at which `postures` puts the links in place.
+
+        This is the base body's own pose: turned by the first joint's offset from the one in `T_arm_in_base`.
+        """
+        return {
+            arm: self.T_base_in_cam[camera] @ T @ pose(rotation=rotation_z(float(self.offsets[arm][0])))
+            for arm, T in enumerate(self.T_arm_in_base)
+        }
 
 
 @dataclass(frozen=True)
@@ -227,7 +234,6 @@ class StationProblem:
             sigma[start + BIASES : self.layout.camera(number).stop] = biases.ravel()
         for arm in range(len(rig.arms)):
             sigma[self.layout.offsets(arm)] = max(priors.offset, _HELD)
-            sigma[self.layout.offsets(arm).start] = _HELD
             if (place := self.layout.base(arm)) is not None:
                 sigma[place] = [priors.base_turn] * 3 + [priors.base_shift] * 3
         self.sigma = sigma
@@ -373,8 +379,12 @@ class StationProblem:
             # Offsets are measured minus true, and later pictures show later joints.
             turned = np.cross(joints.axes[None], points[mine, None] - joints.anchors[None])
             by_joint = np.einsum("njk,nk->nj", turned, across[mine])
-            by_joint *= renderer.moved_by[arm][:, outline.bodies[mine]].T
+            moved = renderer.moved_by[arm][:, outline.bodies[mine]].T
+            # An offset of the first joint turns the base body, and leaves the links where the measured joint says.
+            base_turn = by_joint[:, 0] * ~moved[:, 0]
+            by_joint *= moved
             J[mine, self.layout.offsets(arm)] = -by_joint
+            J[mine, self.layout.offsets(arm).start] = base_turn
             own[mine, DELAY] = -by_joint @ velocities[arm]
             if (base := self.layout.base(arm)) is not None:
                 R = state.T_base_in_cam[camera][:3, :3]
