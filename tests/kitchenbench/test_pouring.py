@@ -24,7 +24,7 @@ from yamsim_cli.kitchenbench.success_judges import KitchenJudge
 from yamsim_cli.loose_pieces import loose_pieces, piece_count, stacked_poses
 
 SCENES = {scene.id: scene for scene in tasks.TASK_FACTORIES["pour_pasta"]().scenes}
-CUP, STRANDS = "pour-pasta-measuring-cup-to-bowl", "pour-pasta-long-spaghetti"
+CUP, STRANDS = "pour-pasta-narrow-cup", "pour-pasta-long-spaghetti"
 
 
 @pytest.fixture(scope="module")
