@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
+from tests.programs import changed, session_of
 from tests.shaken_vessel import VESSEL, filled_task, shake
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import pose_from_quat
+from yamsim_cli.core.scene.blueprint import task_blueprint
 from yamsim_cli.loose_pieces import loose_pieces, stacked_poses
+from yamsim_cli.viewers.show.compose import compose_at_home, first_attempt_start, write_scene
 
 PASTA = "kitchen_dry_pasta"
 
@@ -92,3 +97,26 @@ def test_an_unfilled_role_is_recorded_without_the_key(locations: Locations) -> N
     assert "filled" in task.model_dump(mode="json")["things"][VESSEL]
     emptied = task.things[VESSEL].model_copy(update={"filled": None})
     assert "filled" not in emptied.model_dump(mode="json")
+
+
+@pytest.mark.slow
+def test_a_composed_scene_has_its_pieces_at_rest_in_the_cup(tmp_path: Path) -> None:
+    changes: dict[tuple[str, ...], Any] = {
+        ("things", "cube"): {"of": "kitchen_measuring_cup", "filled": {"of": PASTA, "grams": 40}},
+        ("expert",): [{"pick": {"thing": "cube"}}],
+    }
+    session = session_of(tmp_path, changed(changes))
+    config, home = first_attempt_start(session)
+    spec, model = compose_at_home(task_blueprint(config), session.locations, home)
+    write_scene(spec, model, tmp_path / "scene", as_zip=False, overwrite=False)
+    read = mujoco.MjModel.from_xml_path(str(tmp_path / "scene" / "scene.xml"))
+    data = mujoco.MjData(read)
+    mujoco.mj_resetDataKeyframe(read, data, 0)
+    mujoco.mj_forward(read, data)
+    bodies = [k for k in range(read.nbody) if read.body(k).name.startswith("cube_piece_")]
+    before, cup = data.xipos[bodies].copy(), data.body("cube").xpos.copy()
+    assert len(bodies) == 11
+    assert 1000 * read.body_mass[bodies].sum() == pytest.approx(40.0)
+    assert np.linalg.norm((before - cup)[:, :2], axis=1).max() < 0.039  # m, the cup's radius
+    mujoco.mj_step(read, data, 100)
+    assert np.abs(data.xipos[bodies] - before).max() < 0.005
