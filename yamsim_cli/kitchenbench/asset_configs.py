@@ -45,7 +45,8 @@ POUR = "pour_into"
 STRAND_CONDITION = "strand_length_cm"
 # Asset of a substance -> object config of one piece.
 _PIECE_CONFIGS = {"dry_pasta": "kitchen_dry_pasta"}
-# Largest number of pieces: with 60, a second of physics takes 4 to 5 s of a core, and 3 to 4 s with 44. With 40, not every source holds all.
+# Largest number of pieces: a second of physics takes 4 to 5 s of a core with 60, and 3 to 4 s with 44. With 40, not
+# every source holds its pasta.
 _MAX_PIECES = 44
 _CARTON_ASSET, _CARTON_WALL, _CARTON_MASS = "pasta_box", 1.5, 30.0  # asset of a carton; its wall, mm; its mass, g
 
