@@ -8,8 +8,8 @@ Each station has its own camera, lights, table and floor, four episodes of `pick
 and `--episodes` say), joint offsets, a delay of the pictures and an error of the given focal length. Pictures have full
 meshes, shadows, noise, blur and JPEG; the fit renders the same meshes without light. With `--arms 2`, the second base
 is not where the rig has it, and with `--wrist`, wrist cameras are not. `--renderer filament` takes the fixed camera's
-pictures with MuJoCo's physically based renderer, see `tools.bench.filament_pictures`. Seeds up to 1010 served development, those
-above did not. A given focal length is not changed: its error is that of the planted camera file.
+pictures with MuJoCo's physically based renderer, see `tools.bench.filament_pictures`. Seeds up to 1010 served
+development, those above did not. A given focal length is not changed: its error is that of the planted camera file.
 
 The command runs with wide limits. The bench counts which poses `--max-shift` and `--max-turn` would refuse.
 """

@@ -15,6 +15,7 @@ from ..core.config.objects.cloth import Cloth, object_keys_from_cloth
 from ..core.config.objects.generated import object_from_shape
 from ..core.config.objects.object_config import ObjectConfig
 from ..core.config.objects.shapes import VesselShape
+from ..core.config.program_task import Filling
 from ..core.config.scene import Table
 from ..core.files.resources import Locations
 from ..core.geometry.se3 import Array
@@ -22,12 +23,12 @@ from ..core.scene.compiled import CompiledScene
 from ..core.sim.cloth import crumple_cloth
 from .lids import LID_CONFIGS, OPEN, container_with_ears, lid_between_ears, lidded_container
 
-# Asset -> object config. Compartments are parts of the tray, and cloth is in `CLOTH_CONFIGS`.
+# Asset -> object config. Compartments are parts of the tray. `CLOTH_CONFIGS` has cloth, and `_PIECE_CONFIGS` pasta.
 _OBJECT_CONFIGS = {
     name: f"kitchen_{name}"
     for name in (
         "spoon", "fork", "knife", "plate", "bowl", "cup", "tray", "dish_rack", "utensil", "produce_item",
-        "distractor", "jar", "bottle", "food_container", "pot",
+        "distractor", "jar", "bottle", "food_container", "pot", "measuring_cup", "pasta_box",
     )
 }  # fmt: skip
 # Container -> config of its lid. A pot's lid is round, and made from that of the food container.
@@ -37,6 +38,17 @@ _POT_RIM = 4.0  # mm, from a pot's inner wall to the rim under its lid
 
 #: The asset whose objects are parts of the tray.
 COMPARTMENT = "compartment"
+
+#: The kind of KitchenBench's goals in which a substance is poured into a vessel.
+POUR = "pour_into"
+#: The condition of a scene that gives the length of its pasta.
+STRAND_CONDITION = "strand_length_cm"
+# Asset of a substance -> object config of one piece.
+_PIECE_CONFIGS = {"dry_pasta": "kitchen_dry_pasta"}
+# Largest number of pieces: a second of physics takes 4 to 5 s of a core with 60, and 3 to 4 s with 44. With 40, not
+# every source holds its pasta.
+_MAX_PIECES = 44
+_CARTON_ASSET, _CARTON_WALL, _CARTON_MASS = "pasta_box", 1.5, 30.0  # asset of a carton; its wall, mm; its mass, g
 
 _COURGETTE_WIDTH = 55.0  # mm, of long produce; fingers could not hold a tomato of that length
 _COURGETTE_BODY = {"stuff": "fruit", "rgba": [0.24, 0.42, 0.16, 1], "specular": 0.3, "shininess": 0.4}
@@ -97,6 +109,38 @@ def object_config_of(
     if item.asset == "cup" and nests:
         made["grasp"] = _grasp_under_rim(made["grasp"], shape)
     return ObjectConfig.model_validate({**data, **made})
+
+
+def is_body(item: SceneObject) -> bool:
+    """Whether a blueprint's object is a body of its own: no compartment of a tray, and no substance."""
+    return item.asset != COMPARTMENT and item.asset not in _PIECE_CONFIGS
+
+
+def pouring_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Locations) -> ObjectConfig:
+    """Return the config of an object in a scene of pouring: a carton of pasta is empty and open at its top.
+
+    Raise LookupError if yamsim has none for the asset.
+    """
+    base = object_config_of(item, blueprint.conditions, locations, nests=False)
+    if item.asset != _CARTON_ASSET:
+        return base
+    data = _shape_data(base)
+    carton = {"family": "container", "size_mm": data["size_mm"], "wall_mm": _CARTON_WALL, "corner_mm": _CARTON_WALL}
+    return _with_shape(base, {**carton, "mass_g": _CARTON_MASS, "materials": {"body": data["materials"]["body"]}})
+
+
+def fillings_of(blueprint: SceneBlueprint, locations: Locations) -> dict[str, Filling]:
+    """Return object -> its filling, for a blueprint's substances. `strand_length_cm` is the length of a piece."""
+    found = {}
+    for item in blueprint.objects:
+        if item.parent is None or item.asset not in _PIECE_CONFIGS or item.amount_g is None:
+            continue
+        piece = load_config(ObjectConfig, "objects", _PIECE_CONFIGS[item.asset], locations)
+        if STRAND_CONDITION in blueprint.conditions:
+            length = 10.0 * float(blueprint.conditions[STRAND_CONDITION])
+            piece = _with_shape(piece, {**_shape_data(piece), "length_mm": length})
+        found[item.parent] = Filling(of=piece, grams=item.amount_g, max_pieces=_MAX_PIECES)
+    return found
 
 
 def container_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Locations) -> ObjectConfig:

@@ -15,7 +15,7 @@ from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
 from ..core.attempt_data import ObjectLayout
 from ..core.config.goals.role_assignment import RoleAssignment
 from ..core.config.objects.object_config import ObjectConfig
-from ..core.config.program_task import PROGRAM_KIND, ProgramTask
+from ..core.config.program_task import PROGRAM_KIND, Filling, ProgramTask
 from ..core.config.recording import RecordConfig
 from ..core.config.scene import Table
 from ..core.config.session import Session
@@ -27,16 +27,22 @@ from ..core.geometry.se3 import Array, pose, rotation_z
 from ..core.scene.compiled import CompiledScene
 from ..core.sim.settling import settle_objects
 from ..core.sim.sim_world import ContainerRegion, SimWorld
+from ..loose_pieces import piece_count
 from ..session_opener import SessionOpener, parse_size
 from .asset_configs import (
     CLOTH_CONFIGS,
     COMPARTMENT,
     CRUMPLE_CONDITION,
     FOLD_GOAL_KIND,
+    POUR,
+    STRAND_CONDITION,
     cloth_config_of,
     container_config_of,
     crumpled_start,
+    fillings_of,
+    is_body,
     object_config_of,
+    pouring_config_of,
     table_for_sheet,
 )
 from .lids import LID_CONDITIONS, OPEN, SEAL, stiffen_lid_friction
@@ -46,7 +52,7 @@ STATION_RIG = "yam_station_linear_4310_d405"  # name of the rig's config
 TICK_HZ = 30  # Hz, control ticks
 
 #: Kinds of KitchenBench's goals whose scenes can be built.
-GOAL_KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD_GOAL_KIND, OPEN, SEAL})
+GOAL_KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD_GOAL_KIND, OPEN, SEAL, POUR})
 _HANDED_OVER = "handoff"  # a cup is not put into another object
 
 _PLACEHOLDER_TASK = "tower"  # replaced by a scene of KitchenBench
@@ -68,9 +74,12 @@ _POLICY_CONDITIONS = frozenset(
         "approach_tilt_deg",
         "release_x_cm",
         "brace_force_n",
+        "pour_height_cm",
+        "pour_angle_deg",
+        "steadying_force_n",
     }
 )
-_REALIZED_CONDITIONS = frozenset({"slot_width_cm", CRUMPLE_CONDITION})
+_REALIZED_CONDITIONS = frozenset({"slot_width_cm", CRUMPLE_CONDITION, STRAND_CONDITION})
 
 _LOGGER = logging.getLogger("yamsim")
 _SESSION_OPENER = SessionOpener(os.environ, _LOGGER.warning, "{}=".format)
@@ -105,6 +114,12 @@ class BenchmarkScene:
     regions: Mapping[str, ContainerRegion]
     offsets_mm: Mapping[str, float]
     unrealized: tuple[str, ...]
+
+    @property
+    def substances(self) -> dict[str, str]:
+        """Name of a blueprint's substance -> the object that its pieces fill at the start."""
+        filled = self.simulator.scene.pieces
+        return {item.name: item.parent for item in self.blueprint.objects if item.parent and item.parent in filled}
 
     @property
     def object_configs(self) -> dict[str, ObjectConfig]:
@@ -146,10 +161,11 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
             f"scene {blueprint.scene_id!r}: goals of kind {blueprint.target_kind!r} are not supported; "
             f"valid: {', '.join(sorted(GOAL_KINDS))}"
         )
-    things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
+    things = [item for item in blueprint.objects if is_body(item)]
     objects = [_config_of(item, blueprint, base) for item in things]
     config = base.config
-    task = _make_task(blueprint, config, {item.name: item for item in objects})
+    fillings = fillings_of(blueprint, base.locations) if blueprint.target_kind == POUR else {}
+    task = _make_task(blueprint, config, {item.name: item for item in objects}, fillings)
     scene = config.scene.model_copy(update={"table": table_for_scene(config, blueprint)})
     roles = _role_assignment(blueprint)
     simulator = Simulator(base.with_values(task=task, scene=scene), roles)
@@ -164,8 +180,9 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
         name: round(1000 * float(np.linalg.norm(_horizontal_position(simulator.scene, start, name) - T[:2, 3])), 2)
         for name, T in wanted.items()
     }
+    unrealized = (*_unrealized_conditions(blueprint, offsets), *map(_coarser_pieces, fillings.values()))
     return BenchmarkScene(
-        blueprint, simulator, start, _container_regions(blueprint), offsets, _unrealized_conditions(blueprint, offsets)
+        blueprint, simulator, start, _container_regions(blueprint), offsets, tuple(filter(None, unrealized))
     )
 
 
@@ -174,6 +191,8 @@ def _config_of(item: SceneObject, blueprint: SceneBlueprint, base: Session) -> O
         return cloth_config_of(item, blueprint, base.locations)
     if blueprint.target_kind in (OPEN, SEAL):
         return container_config_of(item, blueprint, base.locations)
+    if blueprint.target_kind == POUR:
+        return pouring_config_of(item, blueprint, base.locations)
     return object_config_of(item, blueprint.conditions, base.locations, blueprint.target_kind != _HANDED_OVER)
 
 
@@ -185,7 +204,12 @@ def _horizontal_position(scene: CompiledScene, qpos: Array, name: str) -> Array:
     return qpos[address : address + 2]
 
 
-def _make_task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping[str, ObjectConfig]) -> ProgramTask:
+def _make_task(
+    blueprint: SceneBlueprint,
+    config: RecordConfig,
+    objects: Mapping[str, ObjectConfig],
+    fillings: Mapping[str, Filling],
+) -> ProgramTask:
     """Return the scene as a task, without goal and expert: KitchenBench's checker decides."""
     first = next(iter(objects))
     folds = objects[first].cloth is not None
@@ -196,7 +220,7 @@ def _make_task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping
             "name": blueprint.scene_id.replace("-", "_"),
             "kind": PROGRAM_KIND,
             "rig": config.rig.name,
-            "things": {name: {"of": (item,)} for name, item in objects.items()},
+            "things": {name: {"of": (item,), "filled": fillings.get(name)} for name, item in objects.items()},
             "starts": dict.fromkeys(objects, place),
             "phrasings": {"training": (blueprint.instruction,)},
             "goal": {"all": [{"folded" if folds else "upright": {"thing": first}}]},
@@ -209,7 +233,7 @@ def _make_task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping
 
 def table_for_scene(config: RecordConfig, blueprint: SceneBlueprint) -> Table:
     """Return the station's table, widened if a scene's objects do not fit onto it."""
-    things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
+    things = [item for item in blueprint.objects if is_body(item)]
     table = config.scene.table
     assert table is not None  # checked when the config was loaded
     if blueprint.target_kind == FOLD_GOAL_KIND:
@@ -267,8 +291,17 @@ def _unrealized_conditions(blueprint: SceneBlueprint, offsets: Mapping[str, floa
         elif name not in _REALIZED_CONDITIONS and not (blueprint.target_kind == OPEN and name in LID_CONDITIONS):
             lines.append(f"{name}={value}: not simulated")
     for item in blueprint.objects:
-        if item.amount_g is not None:
+        if item.amount_g is not None and blueprint.target_kind != POUR:
             lines.append(f"{item.name}: amount_g={item.amount_g:g}: not simulated")
         if (off := offsets.get(item.name, 0.0)) > _MAX_OFFSET_MM:
             lines.append(f"{item.name}: came to rest {off:.0f} mm from its requested place")
     return tuple(lines)
+
+
+def _coarser_pieces(filling: Filling) -> str:
+    """Return in which way a substance's pieces are larger than those of its asset, as a sentence; else ""."""
+    count, factor = piece_count(filling)
+    if factor == 1.0:
+        return ""
+    size = f"{filling.grams / count:.1f} g instead of {filling.of.inertia.mass_g:.1f} g"
+    return f"{filling.of.name}: {filling.grams:.0f} g are {count} pieces of {size}"

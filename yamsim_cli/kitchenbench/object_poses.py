@@ -13,7 +13,7 @@ from ..core.episode.simulator import Simulator
 from ..core.geometry.se3 import Array, invert_pose, pose, rotation_z
 from ..core.scene.start_sampling import footprint_corners, footprint_distance
 from ..core.sim.sim_world import make_sim_world
-from .asset_configs import COMPARTMENT, FOLD_GOAL_KIND
+from .asset_configs import FOLD_GOAL_KIND, POUR, is_body
 from .lids import LID, OPEN, SEAL, SNAP_ASSET
 
 #: Position of the blueprints' origin in `world`: ahead and to the left of the midpoint between the arms' bases, m.
@@ -33,7 +33,7 @@ SNAP_AHEAD, SNAP_BESIDE = 0.30, 0.0
 
 _STEP = 0.002  # m, of displacements
 _RACK_GAP = 0.005  # m, between a rack and a displaced object
-_LID_GAP = 0.03  # m, between a container and its lid beside it
+_GAP = 0.03  # m, between a container and its lid beside it, and between a vessel and the source beside it
 _WALL_THICKNESS = 0.005  # m, thickness of a tray's walls
 _FINGER_CLEARANCES = (0.010, 0.003)  # m, between a wall and a displaced object, in the order tried
 _MAX_OVERLAP_SHIFT = 0.02  # m, accepted displacement to avoid an overlap with another object
@@ -66,7 +66,7 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
 
     Objects in a rack's wire or on a tray's wall are placed beside it. Large objects come first: others may lie on them.
     """
-    wanted = {item.name: T_in_world(item, blueprint) for item in blueprint.objects if item.asset != COMPARTMENT}
+    wanted = {item.name: T_in_world(item, blueprint) for item in blueprint.objects if is_body(item)}
     world = make_sim_world(simulator.scene, simulator.state_replay.data, ())
     room = {name: world.local_box(name) for name in wanted}
     area = {name: float(np.prod((block[1] - block[0])[:2])) for name, block in room.items()}
@@ -82,7 +82,9 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
             ):
                 T[1, 3] += away
     if blueprint.target_kind == SEAL:
-        _put_lid_beside(places, room, blueprint.roles[LID][0], blueprint.roles["container"][0])
+        _put_beside(places, room, blueprint.roles[LID][0], blueprint.roles["container"][0])
+    if blueprint.target_kind == POUR:
+        _put_beside(places, room, blueprint.roles["source"][0], blueprint.roles["vessel"][0])
     for tray in blueprint.roles.get("tray", ()):
         middles = [item.x_cm / 100 for item in blueprint.objects if item.parent == tray]
         for name in places:
@@ -96,13 +98,13 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
     return places
 
 
-def _put_lid_beside(places: dict[str, Array], room: Mapping[str, Array], lid: str, container: str) -> None:
-    """Displace a lid to the side until it lies beside its container: on it, the lid would count as sealed."""
-    T = places[lid]
-    away = math.copysign(_STEP, T[1, 3] - places[container][1, 3])
-    while footprint_distance(footprint_corners(room[lid], T), footprint_corners(room[container], places[container])) < (
-        _LID_GAP
-    ):
+def _put_beside(places: dict[str, Array], room: Mapping[str, Array], name: str, other: str) -> None:
+    """Displace an object to the side until it stands beside another one: a lid on its container would count as sealed,
+    and a vessel would stand in the source of its substance.
+    """
+    T = places[name]
+    away = math.copysign(_STEP, T[1, 3] - places[other][1, 3])
+    while footprint_distance(footprint_corners(room[name], T), footprint_corners(room[other], places[other])) < _GAP:
         T[1, 3] += away
 
 

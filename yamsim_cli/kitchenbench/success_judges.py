@@ -73,6 +73,10 @@ class KitchenWorld:
         self._model, self._data = compiled.model, motion.data
         names = list(compiled.object_names)
         self._masses = {item.name: 1000 * item.inertia.mass for item in simulator.config.task.objects}
+        self._pieces = {
+            name: compiled.model.jnt_bodyid[list(compiled.pieces[filled])]
+            for name, filled in realization.substances.items()
+        }
         self._lidded = {
             item.name for item in simulator.config.task.objects if any(link.name == LID for link in item.links)
         }
@@ -98,7 +102,14 @@ class KitchenWorld:
         return self.scene.volume_fraction_in_box(self._require_known(item), self._require_known(container))
 
     def contained_mass_g(self, substance: str, container: str) -> float:
-        """Return the mass in a container, g. No scene has liquids, so a substance is an object."""
+        """Return the mass in a container, g: of the pieces of a substance whose centres are in its interior.
+
+        Of any other object, it is the share of its volume in the container's bounding box.
+        """
+        if substance in self._pieces:
+            bodies = self._pieces[substance]
+            inside = self.scene.points_inside(self._require_known(container), self._data.xipos[bodies])
+            return 1000 * float(self._model.body_mass[bodies[inside]].sum())
         if substance not in self._masses:
             raise KeyError(substance)
         return self._masses[substance] * self.contained_fraction(substance, container)

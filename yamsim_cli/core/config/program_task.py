@@ -49,6 +49,14 @@ _ClothDropHeight = Annotated[
 _MAX_TICK_CHANGE = 0.07  # largest relative change of a control tick for a frame rate, as skills count waits in ticks
 
 
+class Filling(Config):
+    """Loose pieces in a hollow object at its start: `grams` of `of`, in `max_pieces` at most, larger ones if needed."""
+
+    of: Annotated[ObjectConfig, ConfigReference("objects")]
+    grams: Annotated[FiniteFloat, QuantityBounds("g", 1, 1000)]
+    max_pieces: Annotated[int, Field(ge=1, le=300)] = 60
+
+
 class Role(Config):
     """The objects of a role, each sampled from a list of object configs.
 
@@ -60,12 +68,14 @@ class Role(Config):
         sizes: scale factors of lengths; each object gets one of them. Only for configs with a `shape`.
         named: source of an object's name in the scene and in records: its role or its config. Within a task's config,
             names are always roles.
+        filled: the pieces in each of the objects, see `Filling`.
     """
 
     of: Annotated[tuple[ObjectConfig, ...], ConfigReference("objects"), Field(min_length=1)]
     count: Annotated[int, Field(ge=1, le=20)] = 1
     sizes: tuple[Annotated[FiniteFloat, QuantityBounds("times", 0.1, 10)], ...] = ()
     named: Literal["role", "object"] = "role"
+    filled: Annotated[Filling | None, Field(exclude_if=lambda filled: filled is None)] = None
 
     @model_validator(mode="after")
     def _named_after_one_object(self) -> Role:

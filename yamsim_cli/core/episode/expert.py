@@ -33,10 +33,10 @@ class ExpertPlanner:
         geoms = [
             np.flatnonzero((scene.geom_arm == k) & np.isin(scene.geom_kind, fingers)) for k in range(len(scene.arms))
         ]
-        distractors = [item.name for item in config.randomization.distractor_configs]
-        self._collision_checker = CollisionChecker(
-            scene.model, scene.arms, list(scene.object_names), geoms, distractors
-        )
+        absent = [item.name for item in config.randomization.distractor_configs]
+        # A filled object moves with its pieces, so they are no obstacles.
+        absent += [scene.model.joint(k).name for joints in scene.pieces.values() for k in joints]
+        self._collision_checker = CollisionChecker(scene.model, scene.arms, list(scene.object_names), geoms, absent)
 
     def is_place_reachable(self, place: Array) -> bool:
         """Return whether an acting hand reaches a place (3,) in `world`, m, regardless of contacts."""

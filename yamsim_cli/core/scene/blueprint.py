@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+from ...loose_pieces import loose_pieces
 from ..config.objects.object_config import ObjectConfig
 from ..config.randomization import RandomizationConfig
 from ..config.recording import SCENE_CAMERA, RecordConfig
@@ -74,7 +75,7 @@ def task_blueprint(config: RecordConfig, *, boards: bool = True, background: boo
         scene=config.widened_scene,
         boards=boards,
         background=background,
-        objects=config.task.objects,
+        objects=(*config.task.objects, *(piece for made in loose_pieces(config.task).values() for piece in made)),
         physics=TaskPhysics(config.task.timing.timestep, _impratio(config), _weld_placeholder(config)),
         cameras=(fixed_camera(SCENE_CAMERA, camera),),
     )

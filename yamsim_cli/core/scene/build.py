@@ -7,6 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from ...loose_pieces import loose_pieces, stacked_poses
 from ..config.mesh_provenance import FULL_MESHES, PRIMITIVES_ONLY, REDUCED_MESHES
 from ..config.objects.object_config import ObjectConfig
 from ..config.recording import RecordConfig
@@ -35,6 +36,9 @@ def build_scene(session: Session) -> CompiledScene:
     objects = [item.name for item in config.task.objects if item.cloth is None]
     geom_kind, geom_arm = _geom_owners(model, config.rig)
     geom_kind[model.geom("table").id] = GeomOwnerKind.TABLE
+    pieces = {name: [model.joint(one.name).id for one in made] for name, made in loose_pieces(config.task).items()}
+    for name, joints in pieces.items():
+        model.qpos0[model.jnt_qposadr[joints][:, None] + np.arange(7)] = stacked_poses(config.task, name)
     welds = config.grasp == "weld"
     return CompiledScene(
         model=model,
@@ -45,6 +49,7 @@ def build_scene(session: Session) -> CompiledScene:
         geom_kind=geom_kind,
         geom_arm=geom_arm,
         cloths={item.name: _cloth_addresses(model, config, item) for item in config.task.objects if item.cloth},
+        pieces=pieces,
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..attempt_data import ArmPosture, ObjectLayout
-from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_z
+from ..geometry.se3 import Array, pose, pose_from_quat, quat_from_rotation, rotation_z
 
 Ids = NDArray[np.int_]
 
@@ -188,6 +188,7 @@ class CompiledScene:
         cameras: names of the recorded cameras, in order.
         geom_kind: `GeomOwnerKind` of each geom (ngeom,).
         geom_arm: index of each geom's arm in `arms` (ngeom,), -1 for none.
+        pieces: filled object -> ids of its pieces' free joints. `qpos0` has their first poses in the object's frame.
     """
 
     model: mujoco.MjModel
@@ -198,6 +199,7 @@ class CompiledScene:
     geom_kind: Ids
     geom_arm: Ids
     cloths: Mapping[str, ClothAddresses] = field(default_factory=dict)
+    pieces: Mapping[str, Sequence[int]] = field(default_factory=dict)
 
     @property
     def first_arm(self) -> ArmAddresses:
@@ -243,13 +245,16 @@ class CompiledScene:
         return qpos
 
     def set_object_pose(self, qpos: Array, name: str, T_in_world: Array) -> None:
-        """Write an object's positions at a pose into `qpos` (nq,); a cloth lies flat."""
+        """Write an object's positions at a pose into `qpos` (nq,); a cloth lies flat, and pieces are at their first."""
         if name in self.cloths:
             self.cloths[name].set_flat_pose(qpos, T_in_world)
             return
         address = self.object_qpos[name]
         qpos[address : address + 3] = T_in_world[:3, 3]
         qpos[address + 3 : address + 7] = quat_from_rotation(T_in_world[:3, :3])
+        for k in self.model.jnt_qposadr[list(self.pieces.get(name, ()))]:
+            T = T_in_world @ pose_from_quat(self.model.qpos0[k : k + 3], self.model.qpos0[k + 3 : k + 7])
+            qpos[k : k + 7] = (*T[:3, 3], *quat_from_rotation(T[:3, :3]))
 
     def reset(self, data: mujoco.MjData, qpos: Array, commanded: Array | None = None) -> None:
         """Reset `data` to rest at `qpos` (nq,), with commands that hold each drive's position.

@@ -25,7 +25,8 @@ def settle_objects(scene: CompiledScene, start: Array, timestep: float) -> Settl
     data = mujoco.MjData(scene.model)
     scene.reset(data, start)
     stiff = np.concatenate([np.zeros(0, int), *(np.arange(dof, dof + 6) for dof in scene.object_dof.values())])
-    dofs = np.concatenate([stiff, *(cloth.dof.ravel() for cloth in scene.cloths.values())])
+    loose = [np.arange(d, d + 6) for joints in scene.pieces.values() for d in scene.model.jnt_dofadr[list(joints)]]
+    dofs = np.concatenate([stiff, *loose, *(cloth.dof.ravel() for cloth in scene.cloths.values())])
     for _ in range(int(SETTLE_SECONDS / timestep / CHECK_STEPS)):
         scene.step(data, CHECK_STEPS)
         if float(np.abs(data.qvel[dofs]).max()) < MAX_REST_SPEED:

@@ -17,8 +17,9 @@ from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.errors import ResourceError, SimulationError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.files.writing import describe_refusal, move_to_backup, publish_file, staged_directory, write_file
-from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.geometry.se3 import Array, pose_from_quat
 from yamsim_cli.core.scene.blueprint import Blueprint
+from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.scene.compose import add_home_key, compose_scene
 from yamsim_cli.viewers.show.scene_files import Reader, scene_files, zip_bytes
 
@@ -40,7 +41,7 @@ class HomeKeyframe:
     """Initial state of a composed scene, for its MuJoCo keyframe `home`.
 
     Attributes:
-        T_in_world: object -> pose (4, 4) in `world`.
+        T_in_world: object, or piece in an object -> pose (4, 4) in `world`.
         joints: joints of each arm, rad; None for the home posture.
         parts: joint of an articulated object -> joint position, m or rad; other joints are at their closed position.
     """
@@ -59,6 +60,7 @@ def first_attempt_start(session: Session) -> tuple[RecordConfig, HomeKeyframe]:
         config = simulator.config
         if attempt.layout is None or attempt.start is None:
             raise SimulationError(f"task {config.task.name!r}: {describe_missing_start(simulator, attempt)}")
+        loose = _piece_poses(simulator.scene, attempt.start)
         parts = [f"{item.name}_{link.name}" for item in config.task.objects for link in item.links]
         opened = {name: float(attempt.start[simulator.scene.model.joint(name).qposadr[0]]) for name in parts}
     # An arm that does not act in the task has the start posture of its model.
@@ -66,7 +68,14 @@ def first_attempt_start(session: Session) -> tuple[RecordConfig, HomeKeyframe]:
         config.start_joints if number in config.acting_indices else arm.robot.start
         for number, arm in enumerate(config.rig.arms)
     ]
-    return config, HomeKeyframe(attempt.layout.T_in_world, joints, opened)
+    return config, HomeKeyframe({**attempt.layout.T_in_world, **loose}, joints, opened)
+
+
+def _piece_poses(scene: CompiledScene, qpos: Array) -> dict[str, Array]:
+    """Return piece in a filled object -> its pose (4, 4) in `world` at `qpos` (nq,)."""
+    joints = [scene.model.joint(k) for ids in scene.pieces.values() for k in ids]
+    at = {joint.name: int(joint.qposadr[0]) for joint in joints}
+    return {name: pose_from_quat(qpos[k : k + 3], qpos[k + 3 : k + 7]) for name, k in at.items()}
 
 
 def compose_at_home(
