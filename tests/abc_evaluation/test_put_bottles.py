@@ -16,6 +16,7 @@ from tests.abc_evaluation.miniature import write_miniature
 from yamsim_cli.abc_evaluation import evaluation, model_files
 from yamsim_cli.abc_evaluation.environment import ACTION_SECONDS, BOTTLES, GRIPPER_OPENING, PutBottles
 from yamsim_cli.abc_evaluation.evaluation import DEFAULT_SEED, BottlesEvaluation, require_supported_flags
+from yamsim_cli.abc_evaluation.expert import Waypoint, grasp_pose, interpolate
 from yamsim_cli.abc_evaluation.model_files import find_model_folder, git_tree_id
 from yamsim_cli.abc_evaluation.start import sample_start
 from yamsim_cli.abc_evaluation.trial import EXECUTED_ACTIONS, PROMPT, STATION, BottlesTrialRunner
@@ -24,6 +25,7 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.geometry.se3 import pose, rotation_z
 from yamsim_cli.core.workers.executors import InlineExecutor, J, R
 from yamsim_cli.kitchen_scenes import ABC_TASK, resolve_scene_task
 from yamsim_cli.policies.action_chunks import ChunkSettings
@@ -224,9 +226,38 @@ def test_a_fault_of_the_policy_ends_its_trial(folder: Path, locations: Locations
     assert result.fault.text == "ctrl has the shape (13,), not (14,), or (1 to 1000 actions, 14)"
 
 
-def test_a_policy_that_needs_another_scene_is_refused(folder: Path, locations: Locations) -> None:
-    with pytest.raises(UsageError, match="--policy scripted: put_bottles has no scripted expert"):
-        run(folder, PolicyChoice("scripted", HERE), locations)
+def test_a_policy_that_needs_another_scene_is_refused(
+    folder: Path, locations: Locations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("yamsim_cli.abc_evaluation.trial.make_policy", lambda *_: Privileged())
+    with pytest.raises(UsageError, match="--policy replay:dataset: put_bottles has no recordings"):
+        run(folder, PolicyChoice("replay:dataset", HERE), locations)
+
+
+class Privileged(Waving):
+    def prepare_trial(self, trial: object) -> None: ...
+
+
+def test_the_experts_hand_points_down_with_its_fingers_beside_the_bottle() -> None:
+    lying = pose((0.5, 0.2, 0.78), rotation_z(0.7) @ [[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    T = grasp_pose(lying)
+    np.testing.assert_allclose(T[:3, 2], [0, 0, -1])
+    np.testing.assert_allclose(T[:3, 0], lying[:3, 2], atol=1e-12)
+    assert np.linalg.det(T[:3, :3]) == pytest.approx(1)
+    np.testing.assert_allclose(T[:2, 3] - lying[:2, 3], 0.075 * lying[:2, 2])
+    standing = grasp_pose(pose((0.5, 0.2, 0.75)))
+    np.testing.assert_allclose(standing[:3, 2], [0, 0, -1])
+
+
+def test_the_expert_keeps_to_its_speed_and_moves_one_arm() -> None:
+    command = np.zeros((2, 7))
+    path = [Waypoint(np.full(6, 0.6), 0.0, 1.5, 3), Waypoint(np.full(6, 0.6), GRIPPER_OPENING, 1.5)]
+    rows = interpolate(command, 1, path).reshape(-1, 2, 7)
+    np.testing.assert_array_equal(rows[:, 0], 0)
+    np.testing.assert_allclose(rows[-1, 1], [0.6] * 6 + [GRIPPER_OPENING])
+    speeds = 30 * np.abs(np.diff(rows[:, 1, :6], axis=0)).max(axis=1)
+    assert 1.5 < speeds.max() < 1.5 * np.pi / 2  # the mean speed of a motion is the waypoint's
+    assert len(rows) == 12 + 3 + 12
 
 
 class RecordingClient:

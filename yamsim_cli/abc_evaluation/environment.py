@@ -32,8 +32,8 @@ GRIPPER_OPENING = 0.0475  # m, of one finger at the share 1
 _START_JOINTS = (0.0, 1.047, 1.047, 0.0, 0.0, 0.0)  # rad, of each arm; grippers start closed
 
 # A bottle is in the bin if its origin is in this cylinder around the bin's origin.
-_BIN_RADIUS = 0.155  # m, horizontal
-_BIN_HEIGHTS = (-0.06, 0.26)  # m, relative to the bin's origin
+BIN_RADIUS = 0.155  # m, horizontal
+BIN_HEIGHTS = (-0.06, 0.26)  # m, relative to the bin's origin
 
 # MuJoCo's rendering: the scene's shadow map of 8192 texels takes twice as long on a CPU as this one.
 _SHADOW_MAP = 2048  # texels
@@ -110,8 +110,8 @@ class PutBottles(Closable):
         # In float32, as ABC judges.
         qpos = self.data.qpos.astype(np.float32)
         offsets = qpos[self._bottles[:, None] + np.arange(3)] - qpos[self._bin : self._bin + 3]
-        low, high = _BIN_HEIGHTS
-        near = _BIN_RADIUS - np.linalg.norm(offsets[:, :2], axis=1) >= 0.0
+        low, high = BIN_HEIGHTS
+        near = BIN_RADIUS - np.linalg.norm(offsets[:, :2], axis=1) >= 0.0
         found: np.ndarray = near & (offsets[:, 2] - low >= 0.0) & (high - offsets[:, 2] >= 0.0)
         return found
 
@@ -126,6 +126,19 @@ class PutBottles(Closable):
         self._show(self.data.qpos)
         sites = [self._shown.site(f"{side}_grasp_site") for side in SIDES]
         return np.array([pose(site.xpos, site.xmat.reshape(3, 3)) for site in sites])
+
+    def hand_pose_at(self, arm: int, joints: Array) -> Array:
+        """Return the pose (4, 4) of an arm's `grasp_site` in `world` at joints (6,), rad."""
+        qpos = self.data.qpos.copy()
+        qpos[self._qpos[arm, :6]] = joints
+        self._show(qpos)
+        site = self._shown.site(f"{SIDES[arm]}_grasp_site")
+        return pose(site.xpos, site.xmat.reshape(3, 3))
+
+    def base_pose(self, side: str) -> Array:
+        """Return the pose (4, 4) of an arm's base in `world`."""
+        base = self.data.body(f"{side}_arm")
+        return pose(base.xpos, base.xmat.reshape(3, 3))
 
     def camera_pose(self, camera: str) -> Array:
         """Return the pose (4, 4) of a camera in `world`, in OpenCV's convention."""

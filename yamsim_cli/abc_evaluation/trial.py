@@ -21,13 +21,14 @@ from ..policies.action_chunks import ChunkScheduler, ChunkSettings, ChunkStats
 from ..policies.evaluate.observation import LazyObservation, ObservationRenderer
 from ..policies.evaluate.policy_calls import PolicyCaller, PolicyFailedError, PolicyTimeoutError, output_on_stderr
 from ..policies.evaluate.policy_choice import PolicyChoice
-from ..policies.evaluate.policy_factory import PrivilegedPolicy, make_policy
+from ..policies.evaluate.policy_factory import ExpertPolicy, PrivilegedPolicy, make_policy
 from ..policies.evaluate.policy_trial import NO_FAULT, POLICY_ERRORS, TrialEnd, describe_policy_error
 from ..policies.external_policy import PolicyScene
 from ..policies.policy_faults import PolicyFault
 from ..policies.policy_loading import reset_policy, wanted_images, wanted_state
-from ..policies.policy_protocol import OBJECTS, SCENE, VELOCITIES, WRIST, read_chunk
+from ..policies.policy_protocol import OBJECTS, SCENE, VELOCITIES, WRIST, Policy, read_chunk
 from .environment import ACTION_SECONDS, BIN, BOTTLES, GRIPPER_OPENING, SIDES, PutBottles
+from .expert import BottlesExpert
 
 RIG = "abc_put_bottles"  # name in reports: ABC's own model of two YAM arms
 PROMPT = "sim put the plastic bottles in the bin"  # Source: amazon-far/abc e5e1fbc, `SimEvalConfig` of config.py
@@ -103,11 +104,12 @@ class BottlesTrialRunner(Closable):
     def __init__(self, folder: Path, choice: PolicyChoice, size: tuple[int, int], locations: Locations) -> None:
         self._folder, self._choice, self._size = folder, choice, size
         with output_on_stderr(), kill_forks_at_exit():
-            self._policy = make_policy(choice, STATION, locations)
+            made = make_policy(choice, STATION, locations)
+        self._policy: Policy = BottlesExpert() if isinstance(made, ExpertPolicy) else made
         self._caller = PolicyCaller(choice.call_seconds, choice.folder)
         try:
             if isinstance(self._policy, PrivilegedPolicy):
-                raise UsageError(f"--policy {choice.name}: put_bottles has no scripted expert and no recordings")
+                raise UsageError(f"--policy {choice.name}: put_bottles has no recordings")
             self._cameras = _wanted_cameras(wanted_images(self._policy))
             self._wanted = frozenset(wanted_state(self._policy))
             execute = choice.chunking.execute or getattr(self._policy, "execute", None) or EXECUTED_ACTIONS
@@ -125,6 +127,8 @@ class BottlesTrialRunner(Closable):
             places = {name: _place(T) for name, T in scene.object_poses().items()}
             scheduler = ChunkScheduler(self._chunking, POLICY_TICK, hold, scene.joints)
             renderer = ObservationRenderer(lambda qpos, camera: self._render(scene, qpos, camera))
+            if isinstance(self._policy, BottlesExpert):
+                self._policy.prepare_trial(scene)
             try:
                 ended, fault = self._drive(scene, scheduler, renderer, seed, seconds)
             finally:
