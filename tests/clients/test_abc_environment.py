@@ -17,6 +17,7 @@ import pytest
 from tests.clients.environments import Interpreter, checkout
 from yamsim_cli.abc_evaluation.environment import BOTTLES, GRIPPER_OPENING, PutBottles
 from yamsim_cli.abc_evaluation.evaluation import DEFAULT_SEED, DEFAULT_SIZE
+from yamsim_cli.abc_evaluation.expert import BottlesExpert
 from yamsim_cli.abc_evaluation.trial import EXECUTED_ACTIONS, MAX_ACTIONS, PROMPT
 
 SEQUENCES = 200
@@ -114,6 +115,31 @@ def test_its_environment_and_ours_move_and_judge_alike(client: Callable[[str], I
     assert (told["keys"], told["prompt"]) == (["images", "prompt", "state"], PROMPT)
     assert (told["cameras"], tuple(told["size"])) == (["top", "left", "right"], DEFAULT_SIZE)
     assert (told["seed"], told["actions"], told["execute"]) == (DEFAULT_SEED, MAX_ACTIONS, EXECUTED_ACTIONS)
+
+
+@pytest.mark.client
+def test_its_environment_counts_the_bottles_of_our_expert(client: Callable[[str], Interpreter], tmp_path: Path) -> None:
+    interpreter = client("abc-environment")
+    root = complete_checkout(checkout("YAMSIM_ABC"), tmp_path / "checkout")
+    expert, commands, masks = BottlesExpert(), [], []
+    with PutBottles(root / "assets" / "put_bottles", DEFAULT_SEED) as scene:
+        expert.prepare_trial(scene)
+        expert.reset()
+        for _ in range(2):
+            poses = {f"T_{name}_in_world": T for name, T in scene.object_poses().items()}
+            for row in expert({"joints": scene.joints.ravel(), **poses})["ctrl"]:
+                # As shares in float32, as ABC's policies send them.
+                share = (row.reshape(2, 7) / ([1] * 6 + [GRIPPER_OPENING])).astype(np.float32)
+                scene.step(share.astype(float) * ([1] * 6 + [GRIPPER_OPENING]))
+                commands.append(share.ravel())
+                masks.append(scene.in_bin().tolist())
+        most = scene.most_in_bin
+    given = {"seeds": [DEFAULT_SEED], "filled": [False], "actions": [commands]}
+    np.savez(tmp_path / "sequences.npz", **{key: np.array(value) for key, value in given.items()})  # type: ignore[arg-type]
+    interpreter.run("abc_acts.py", root, tmp_path / "sequences.npz", tmp_path / "out.npz", timeout_s=PATIENCE_S)
+    theirs = np.load(tmp_path / "out.npz")
+    assert theirs["in_bin"][0].tolist() == masks
+    assert theirs["most"][0] == most == sum(masks[-1]) == 2
 
 
 def parts_of_geoms(scene: PutBottles) -> list[str]:
