@@ -111,7 +111,7 @@ def test_its_environment_and_ours_move_and_judge_alike(client: Callable[[str], I
             touched, successes = touched + has_touched, successes + scene.has_succeeded
     print(f"largest difference of a bottle {largest:g} m; an arm touched one in {touched}; {successes} succeeded")
     assert touched >= SEQUENCES // 10
-    assert SEQUENCES // FILLED_EVERY // 2 < successes < SEQUENCES // 2
+    assert SEQUENCES // 20 <= successes < SEQUENCES // 2  # most bottles that overlap at first push each other out
     assert (told["keys"], told["prompt"]) == (["images", "prompt", "state"], PROMPT)
     assert (told["cameras"], tuple(told["size"])) == (["top", "left", "right"], DEFAULT_SIZE)
     assert (told["seed"], told["actions"], told["execute"]) == (DEFAULT_SEED, MAX_ACTIONS, EXECUTED_ACTIONS)
