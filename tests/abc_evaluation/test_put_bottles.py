@@ -16,7 +16,7 @@ from tests.abc_evaluation.miniature import write_miniature
 from yamsim_cli.abc_evaluation import evaluation, model_files
 from yamsim_cli.abc_evaluation.environment import ACTION_SECONDS, BOTTLES, GRIPPER_OPENING, PutBottles
 from yamsim_cli.abc_evaluation.evaluation import DEFAULT_SEED, BottlesEvaluation, require_supported_flags
-from yamsim_cli.abc_evaluation.expert import Waypoint, grasp_pose, interpolate
+from yamsim_cli.abc_evaluation.expert import BottlesExpert, Waypoint, grasp_pose, interpolate
 from yamsim_cli.abc_evaluation.model_files import find_model_folder, git_tree_id
 from yamsim_cli.abc_evaluation.start import sample_start
 from yamsim_cli.abc_evaluation.trial import EXECUTED_ACTIONS, PROMPT, STATION, BottlesTrialRunner
@@ -236,6 +236,12 @@ def test_a_policy_that_needs_another_scene_is_refused(
 
 class Privileged(Waving):
     def prepare_trial(self, trial: object) -> None: ...
+
+
+def test_the_expert_acts_in_its_trials(folder: Path, locations: Locations, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(BottlesExpert, "__call__", lambda self, seen: {"ctrl": seen["joints"], "done": True})
+    result = run(folder, PolicyChoice("scripted", HERE), locations)
+    assert (result.ended, result.actions, result.chunking.execute) == (TrialEnd.DONE, 1, 1000)
 
 
 def test_the_experts_hand_points_down_with_its_fingers_beside_the_bottle() -> None:

@@ -123,7 +123,7 @@ def test_its_environment_counts_the_bottles_of_our_expert(client: Callable[[str]
     root = complete_checkout(checkout("YAMSIM_ABC"), tmp_path / "checkout")
     expert, commands, masks = BottlesExpert(), [], []
     with PutBottles(root / "assets" / "put_bottles", DEFAULT_SEED) as scene:
-        expert.prepare_trial(scene)
+        expert.set_scene(scene)
         expert.reset()
         for _ in range(2):
             poses = {f"T_{name}_in_world": T for name, T in scene.object_poses().items()}

@@ -63,7 +63,7 @@ class BottlesExpert:
         self._arms = {side: Kinematics(_SIMILAR_RIG, side, site="grasp_site") for side in SIDES}
         self._tries: dict[str, int] = {}
 
-    def prepare_trial(self, scene: PutBottles) -> None:
+    def set_scene(self, scene: PutBottles) -> None:
         """Set the scene whose arms are moved."""
         self._scene = scene
         self._home = scene.joints.copy()

@@ -128,7 +128,7 @@ class BottlesTrialRunner(Closable):
             scheduler = ChunkScheduler(self._chunking, POLICY_TICK, hold, scene.joints)
             renderer = ObservationRenderer(lambda qpos, camera: self._render(scene, qpos, camera))
             if isinstance(self._policy, BottlesExpert):
-                self._policy.prepare_trial(scene)
+                self._policy.set_scene(scene)
             try:
                 ended, fault = self._drive(scene, scheduler, renderer, seed, seconds)
             finally:
