@@ -80,6 +80,7 @@ FLOORS: dict[str, int] = {
     "lerobot_camera": 12,
     "match": 12,
     "raiden_camera": 12,
+    "abc_evaluation": 12,
     "flags": 12,
     "api": 13,
     "commands": 13,
@@ -119,6 +120,7 @@ CONFINED = {
     "trimesh": {"objects.readers.meshes", "viewers.scene_nodes"},
     "PIL": {"objects.readers", "viewers.scene_nodes"},
     "mujoco": {
+        "abc_evaluation",
         "camera_rendering",
         "gym_physics",
         "core.episode",

@@ -142,8 +142,8 @@ def train(demos: Path, out: Path, *, steps: int, seed: int, episodes: int | None
     generator = torch.Generator().manual_seed(seed)
     windows = ChunkWindows(open_dataset(demos)[:episodes], [SCENE_CAMERA], chunk=CHUNK)
     scaling, first = Scaling.of(windows), windows[0]
-    shape = crop(first[SCENE_CAMERA]).shape[:2]
-    net = PictureNet(*shape, first["joints"].size, first["action"].shape[-1])
+    height, width = crop(first[SCENE_CAMERA]).shape[:2]
+    net = PictureNet(height, width, first["joints"].size, first["action"].shape[-1])
     net = net.to(memory_format=torch.channels_last)
     averaged = copy.deepcopy(net)
     optimizer = torch.optim.AdamW(net.parameters(), LEARNING_RATE, weight_decay=WEIGHT_DECAY)
@@ -177,7 +177,7 @@ def train(demos: Path, out: Path, *, steps: int, seed: int, episodes: int | None
                 )
             if done == steps:
                 break
-    torch.save({"weights": averaged.state_dict(), "scaling": vars(scaling), "shape": shape}, out)
+    torch.save({"weights": averaged.state_dict(), "scaling": vars(scaling), "shape": (height, width)}, out)
     return float(np.mean(losses[-100:]))
 
 
@@ -189,9 +189,10 @@ class PicturePolicy:
 
     def __init__(self, weights: str) -> None:
         stored = torch.load(weights, weights_only=True)
-        self._scaling, self._shape = Scaling(**stored["scaling"]), tuple(stored["shape"])
+        height, width = stored["shape"]
+        self._scaling, self._shape = Scaling(**stored["scaling"]), (height, width)
         drives, numbers = len(self._scaling.joint_mean), len(self._scaling.action_mean)
-        self._net = PictureNet(*self._shape, drives, numbers).eval()
+        self._net = PictureNet(height, width, drives, numbers).eval()
         self._net.load_state_dict(stored["weights"])
         torch.set_num_threads(1)
 

@@ -2,13 +2,21 @@ from __future__ import annotations
 
 from typing import Any
 
-from .core.errors import ResourceError
+from .core.errors import ResourceError, UsageError
 
+ABC_TASK = "abc/put_bottles"  # task of ABC's simulated evaluation, in a scene of its own
 _PREFIX = "kitchenbench/"
 
 
 def resolve_scene_task(name: str) -> str | dict[str, Any]:
-    """Return the config of a task that is a KitchenBench scene, and any other name unchanged."""
+    """Return the config of a task that is a KitchenBench scene, and any other name unchanged.
+
+    Raises:
+        UsageError: the task is ABC's, which only `yamsim eval` runs.
+        ResourceError: KitchenBench is not installed.
+    """
+    if name == ABC_TASK:
+        raise UsageError(f"--task {name}: only `yamsim eval` runs it, as its scene is not built from yamsim's configs")
     if not name.startswith(_PREFIX):
         return name
     try:

@@ -208,6 +208,14 @@ ROWS: dict[str, ClientRow] = {
         heavy=True,
         checkout="YAMSIM_ABC",
     ),
+    "abc-environment": ClientRow(
+        client="ABC's simulated evaluation, from its repository, without its renderer",
+        distribution="abc-minimal",
+        opens="`eval --task abc/put_bottles`: the starts of 200 seeds, the motion and the verdict after each action of "
+        "200 sequences, with the same engine; the bottles that the expert puts into the bin",
+        environment=Environment(),
+        checkout="YAMSIM_ABC",
+    ),
     "lerobot-0.4": ClientRow("LeRobot 0.4", "lerobot", _LEROBOT, Environment("lerobot-0.4", "3.11"), heavy=True),
     "lerobot-doctor": ClientRow(
         "lerobot-doctor",

@@ -49,6 +49,7 @@ NOT_RUN = {
     r"--policy (act|ws|lerobot):": "another program's server, which tests/clients/test_policies.py has",
     r"^lerobot-train\b": "another program, which tests/clients/test_training.py runs in an environment of its own",
     r"^yamsim can-run\b": "it runs another program, as tests/clients/test_i2rt.py does in an environment of its own",
+    r"--task abc/": "it needs a checkout of ABC, which tests/clients/test_abc_environment.py has",
     r"--task kitchenbench/": "it needs the benchmark; tests/kitchenbench/test_recorded.py records a scene of it",
     r"--out (varied|late_arms|by_friction|left_arm|handover|apples)\b": "tests/recorded_bytes.py has its like",
     r"--out recoveries\b": "tests/test_disturbed_motion.py records and verifies such an episode",

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -10,8 +10,12 @@ from yamsim_cli.flags import policy_options as policy_flags
 from yamsim_cli.flags import session_options as flags
 from yamsim_cli.flags.output_files import ReportFile, VideoTrials, require_unused_reports, write_json_report
 from yamsim_cli.flags.session_options import session_opener, session_settings
+from yamsim_cli.kitchen_scenes import ABC_TASK
 from yamsim_cli.terminal.console import print_note, print_report, progress_bar
 from yamsim_cli.terminal.trial_tables import evaluation_table, film_with_progress, open_films
+
+if TYPE_CHECKING:
+    from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
 
 
 def evaluate(
@@ -97,6 +101,8 @@ def evaluate(
 
     Without --policy, compare reports that --out wrote.
 
+    With --task abc/put_bottles, run ABC's simulated evaluation: its scene, starts and success rule.
+
     Example: yamsim eval --policy my_policy.py:MyPolicy --n 50 --seed 0 --workers 2
     """
     if video_all and video is None:
@@ -120,6 +126,13 @@ def evaluate(
     choice = PolicyChoice(
         policy, Path.cwd(), policy_timeout, time_limit, EndRule(end), arguments, policy_config, chunking
     )
+    if task == ABC_TASK:
+        report, reports = _evaluate_abc(choice, others, session_settings(locals()), locals())
+        _write_reports(report, reports, out, html)
+        print_report(report, lambda: evaluation_table(report), json)
+        evaluation.require_measured_trials(report)
+        require_success(report["stats"], min_success)
+        return
     session, training = open_evaluation_session(
         session_opener, config, choice, others, trained_on, renders=video is not None, **session_settings(locals())
     )
@@ -139,6 +152,47 @@ def evaluate(
     print_report(report, lambda: evaluation_table(report), json)
     evaluation.require_measured_trials(report)
     require_success(report["stats"], min_success)
+
+
+def _evaluate_abc(
+    choice: PolicyChoice, others: list[str], settings: dict[str, Any], given: dict[str, Any]
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Evaluate a policy in ABC's own scene. `given` has the command's parameters, `settings` those of sessions."""
+    from yamsim_cli.abc_evaluation.evaluation import (
+        DEFAULT_SEED,
+        DEFAULT_SIZE,
+        BottlesEvaluation,
+        require_supported_flags,
+    )
+    from yamsim_cli.abc_evaluation.model_files import find_model_folder
+    from yamsim_cli.core.config.recording import RecordConfig
+    from yamsim_cli.policies.policy_loading import may_read_images
+    from yamsim_cli.session_opener import parse_size
+
+    unused = settings.keys() - {"task", "workers", "seed", "size", "n"}
+    values = {name: settings[name] for name in unused} | {
+        "trained_on": given["trained_on"],
+        "video": given["video"],
+        "config": None if given["config"] == "default" else given["config"],
+        "end": None if given["end"] == "success" else given["end"],
+    }
+    require_supported_flags({f"--{name.replace('_', '-')}": values[name] for name in sorted(values)})
+    folder, locations = find_model_folder(session_opener.environ), session_opener.find_locations()
+    if any(may_read_images(name) for name in (choice.name, *others)):
+        locations = session_opener.choose_gl_backend(locations, workers=True)
+    else:
+        session_opener.disable_gl()
+    evaluation = BottlesEvaluation(
+        folder,
+        locations,
+        n=given["n"],
+        seed=DEFAULT_SEED if given["seed"] is None else given["seed"],
+        workers=RecordConfig.model_fields["workers"].default if given["workers"] is None else given["workers"],
+        size=parse_size(given["size"]) if given["size"] else DEFAULT_SIZE,
+        trial_seconds=given["trial_timeout"],
+        watch=lambda: progress_bar("trials", "trials"),
+    )
+    return evaluation.evaluate(choice, others)
 
 
 def _compare_files(names: list[str]) -> tuple[dict[str, Any], list[dict[str, Any]]]:

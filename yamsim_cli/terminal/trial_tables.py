@@ -81,6 +81,10 @@ def _batch_rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 def _evaluation_rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     stats = report["stats"]
+    if "mean_bottles_in_bin" in stats:  # ABC's task, in reports of `abc_evaluation`
+        most, last = stats["mean_most_bottles_in_bin"], stats["mean_bottles_in_bin"]
+        yield "bottles in the bin", f"at most {most:.2f}, and {last:.2f} at the end (means of the trials)"
+        yield "engine", report["settings"]["engine"]
     if spread := stats["policy_s"]:
         late = f"; {stats['slower_than_real_time']:.0%} longer than a control tick of {report['tick_s'] * 1000:g} ms"
         yield "an answer of the policy", _spread_text(spread, "ms") + late

@@ -240,7 +240,7 @@ def test_a_mapping_that_is_wrong_is_told_with_its_line(
 
 def test_a_mapping_that_does_not_fit_the_rig_is_told(config: RecordConfig, locations: Locations) -> None:
     with act_server(lambda _: {}) as url, pytest.raises(UsageError) as caught:
-        make_policy(PolicyChoice(url, HERE), Session(config, locations))
+        make_policy(PolicyChoice(url, HERE), policy_station(config), locations)
     assert str(caught.value) == (
         "--policy-config molmoact2_yam: arms: on rig 'single' there is no left arm; valid: right"
     )
@@ -252,7 +252,7 @@ def test_a_mapping_that_does_not_fit_the_rig_is_told(config: RecordConfig, locat
 
 def test_lerobot_that_is_not_installed_is_told(config: RecordConfig, locations: Locations) -> None:
     with pytest.raises(ResourceError, match=r"--policy lerobot:\S+: LeRobot is not installed: run `pip install"):
-        make_policy(PolicyChoice("lerobot:nowhere", HERE), Session(config, locations))
+        make_policy(PolicyChoice("lerobot:nowhere", HERE), policy_station(config), locations)
 
 
 @pytest.mark.parametrize(
@@ -267,7 +267,7 @@ def test_flags_of_other_policies_are_refused(
     choice: PolicyChoice, told: str, config: RecordConfig, locations: Locations
 ) -> None:
     with pytest.raises(UsageError, match=told):
-        make_policy(choice, Session(config, locations))
+        make_policy(choice, policy_station(config), locations)
 
 
 @pytest.mark.parametrize(
@@ -291,11 +291,11 @@ def test_a_compared_policy_gets_the_same_config_and_keywords_where_it_takes_them
 def test_a_compared_class_is_made_with_the_keywords_that_it_has(config: RecordConfig, locations: Locations) -> None:
     choice = PolicyChoice("a:B", HERE, arguments={"step": 0.5})
     samples = "tests.policies.sample_policies"
-    made: Any = make_policy(choice.compared_with(f"{samples}:Chunked"), Session(config, locations))
+    made: Any = make_policy(choice.compared_with(f"{samples}:Chunked"), policy_station(config), locations)
     assert made.step == 0.5
-    make_policy(choice.compared_with(f"{samples}:Still"), Session(config, locations))
+    make_policy(choice.compared_with(f"{samples}:Still"), policy_station(config), locations)
     with pytest.raises(UsageError, match=r"Still\(\) takes no arguments"):
-        make_policy(PolicyChoice(f"{samples}:Still", HERE, arguments={"step": 0.5}), Session(config, locations))
+        make_policy(PolicyChoice(f"{samples}:Still", HERE, arguments={"step": 0.5}), policy_station(config), locations)
 
 
 @pytest.mark.parametrize("rig", ["single", "single_linear", "russet", "yam_station_linear_4310_d405"])

@@ -11,7 +11,6 @@ from yamsim_cli.core.attempt_data import Attempt, AttemptJob, WeldStates
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.dataset_paths import episode_directories
 from yamsim_cli.core.dataset.environment_state import object_pose_keys
 from yamsim_cli.core.dataset.lowdim import recorded_actions
@@ -19,6 +18,7 @@ from yamsim_cli.core.dataset.reader import open_episode
 from yamsim_cli.core.episode.execution import SimulatedAttempt, simulate_expert
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.compiled import CompiledScene
 
@@ -130,7 +130,7 @@ class ReplayPolicy(_ActionSequencePolicy):
         return start if job in self._by_job else None
 
 
-def make_policy(choice: PolicyChoice, session: Session) -> Policy:
+def make_policy(choice: PolicyChoice, station: PolicyScene, locations: Locations) -> Policy:
     """Make the chosen policy: built in, a class of the user, or a client of another program."""
     name, folder = choice.name, choice.folder
     kind, colon, rest = name.partition(":")
@@ -140,7 +140,7 @@ def make_policy(choice: PolicyChoice, session: Session) -> Policy:
     if choice.arguments and not takes_keywords(name):
         raise UsageError(f"--policy-arg is for a policy of your own, module:Class or file.py:Class, and not for {name}")
     if external:
-        return _make_external(choice, session)
+        return _make_external(choice, station, locations)
     if name == "scripted":
         return ExpertPolicy()
     if name == "hold_still":
@@ -155,10 +155,9 @@ def make_policy(choice: PolicyChoice, session: Session) -> Policy:
     )
 
 
-def _make_external(choice: PolicyChoice, session: Session) -> MappedPolicy:
+def _make_external(choice: PolicyChoice, station: PolicyScene, locations: Locations) -> MappedPolicy:
     kind, _, rest = choice.name.partition(":")
-    mapping = load_config(PolicyConfig, "policies", choice.mapping or _CONFIGS[kind], session.locations)
-    station = policy_station(session.config)
+    mapping = load_config(PolicyConfig, "policies", choice.mapping or _CONFIGS[kind], locations)
     chunking = choice.chunking
     if mapping.realtime_chunking is not None and (chunking.execute is not None or chunking.ensemble is not None):
         raise UsageError(

@@ -27,7 +27,7 @@ from .grasp_offset import GraspOffsetMonitor, final_offset
 from .observation import ObservationBuilder, ObservationRenderer, policy_cameras
 from .policy_calls import PolicyCaller, PolicyFailedError, PolicyTimeoutError, output_on_stderr
 from .policy_choice import PolicyChoice
-from .policy_factory import ExpertPolicy, PrivilegedPolicy, PrivilegedTrial, make_policy
+from .policy_factory import ExpertPolicy, PrivilegedPolicy, PrivilegedTrial, make_policy, policy_station
 
 
 class TrialEnd(StrEnum):
@@ -51,7 +51,9 @@ POLICY_FAULT_ENDS = (TrialEnd.RAISED, TrialEnd.INVALID, TrialEnd.SLOW, TrialEnd.
 # Ends that measure the policy's success.
 MEASURED_ENDS = (TrialEnd.SUCCESS, TrialEnd.DONE, TrialEnd.TIME_LIMIT, TrialEnd.UNSTABLE)
 
-_NO_FAULT = PolicyFault("")
+# Errors of a `PolicyCaller`, and of `read_chunk`, that end a trial.
+POLICY_ERRORS = (InvalidActionError, PolicyTimeoutError, PolicyFailedError)
+NO_FAULT = PolicyFault("")
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,19 @@ class TrialResult:
     chunking: ChunkSettings | None = None
 
 
+def describe_policy_error(error: Exception, call_seconds: float, ticks: int) -> tuple[TrialEnd, PolicyFault]:
+    """Return how one of `POLICY_ERRORS` ends a trial after `ticks` ticks, and the fault with its sentence.
+
+    Args:
+        call_seconds: real time that an answer may take, s.
+    """
+    if isinstance(error, PolicyTimeoutError):
+        return TrialEnd.SLOW, PolicyFault(f"no answer within {call_seconds:g} s, after {ticks} ticks")
+    if isinstance(error, PolicyFailedError):
+        return TrialEnd.RAISED, PolicyFault(f"{error}, after {ticks} ticks", error.fault.traceback)
+    return TrialEnd.INVALID, PolicyFault(str(error))
+
+
 def trial_rules(config: RecordConfig, choice: PolicyChoice) -> EpisodeRules:
     """Return the rule and time limit that end a trial, from the choice or else the task."""
     task = config.task
@@ -103,7 +118,7 @@ class TrialRunner(Closable):
     def __init__(self, session: Session, choice: PolicyChoice) -> None:
         self._config, self._choice = session.config, choice
         with output_on_stderr(), kill_forks_at_exit():
-            self.policy = make_policy(choice, session)
+            self.policy = make_policy(choice, policy_station(session.config), session.locations)
         self._caller = PolicyCaller(choice.call_seconds, choice.folder)
         self.simulators = SimulatorCache(session)
         try:
@@ -190,20 +205,14 @@ class TrialRunner(Closable):
                 ctrl, magnet = scheduler.command_at(episode.ticks)
                 episode.step(ctrl, magnet)
                 grasps.measure_tick()
-        except InvalidActionError as error:
-            return TrialEnd.INVALID, PolicyFault(str(error))
-        except PolicyTimeoutError:
-            return TrialEnd.SLOW, PolicyFault(
-                f"no answer within {self._choice.call_seconds:g} s, after {episode.ticks} ticks"
-            )
-        except PolicyFailedError as error:
-            return TrialEnd.RAISED, PolicyFault(f"{error}, after {episode.ticks} ticks", error.fault.traceback)
+        except POLICY_ERRORS as error:
+            return describe_policy_error(error, self._choice.call_seconds, episode.ticks)
         if episode.end is None:
             # Hold the last command while objects settle, and for the goal's hold time.
             for _ in range(self._config.task.timing.settle_ticks + self._config.task.hold_ticks):
                 if not episode.has_succeeded:
                     episode.step(ctrl, magnet)
-        return TrialEnd.DONE if episode.end is None else TrialEnd(episode.end.reason.value), _NO_FAULT
+        return TrialEnd.DONE if episode.end is None else TrialEnd(episode.end.reason.value), NO_FAULT
 
     def _request_action(self, observation: Observation, renderer: ObservationRenderer) -> object:
         try:
