@@ -86,7 +86,7 @@ def test_unsuitable_fillings_are_refused(
 
 def test_nothing_leaves_a_shaken_cup(locations: Locations) -> None:
     # One realization of a chaotic motion; `tools.bench.shaken_vessels` shakes 24.
-    one = shake(filled_task("kitchen_measuring_cup", PASTA, 60.0, locations), seed=0, seconds=0.3)
+    one = shake(filled_task("kitchen_measuring_cup", PASTA, 60.0, locations), seed=0, seconds=1.0)
     assert one.pieces == 17
     assert (one.fell_out, one.leaked) == (0, 0)
     assert one.wall_depth < 0.002  # of a radius of 4 mm

@@ -28,7 +28,8 @@ _GAP = 0.0003  # m, between pieces in a row, and between pieces and the floor
 # Friction in the direction of sliding alone. Torsional and rolling friction of a kitchen object keep it from rolling
 # off a table, and double the time of the solver.
 _CONDIM = 3
-# s, of contacts: two physics steps, the least that is stable. Kitchen objects have 6 ms.
+# Time constant of the contacts (`solref`), s: two steps of 1/480 s, the longest step in use. MuJoCo is not stable below
+# two steps. Kitchen objects have 6 ms.
 _PUSH_OUT_S = 0.0042
 
 
@@ -146,7 +147,7 @@ def _room_in(vessel: ObjectConfig, task: ProgramTask) -> _Room:
 
 
 def _places(room: _Room, axis: int, length: float, radius: float) -> Iterator[Array]:
-    """Yield the middles (3,) of pieces whose axes are parallel to `axis`, layer by layer, while they are under the rim.
+    """Yield the middles (3,) of pieces parallel to `axis`, layer by layer, as long as the middles are below the rim.
 
     Args:
         length, radius: of a piece with its round ends, m.
@@ -185,5 +186,5 @@ def _rotation_onto(direction: Array, target: Array) -> Array:
     normal = np.cross(direction, target)
     sine = float(np.linalg.norm(normal))
     if sine < 1e-9:
-        return np.eye(3)  # an axis has no sense, so the opposite direction needs no turn either
+        return np.eye(3)  # a capsule looks the same from both ends, so the opposite direction needs no turn
     return rotation_from_vector(normal / sine * math.atan2(sine, float(direction @ target)))

@@ -1,4 +1,7 @@
-"""ABC's task `put_bottles` in a miniature of its scene; `tests/clients/test_abc.py` compares it with the original."""
+"""ABC's task `put_bottles` in a miniature of its scene.
+
+`tests/clients/test_abc_environment.py` compares it with the original.
+"""
 
 from __future__ import annotations
 

@@ -20,11 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 _MAX_GEOMS = 5000  # of a scene
-_SECONDS = 1800  # s, of all pictures of a program, after which it hangs
+_SECONDS = 1800  # s, for all pictures of a program, after which it counts as hung
 
 
 class FilamentRenderer:
-    """Renders a model's camera, px. Lights of the model keep their directions; Filament has its own units and tones."""
+    """Renders a camera of a model. Lights keep their directions; Filament has its own units and tone curve.
+
+    The camera's `cam_ipd` in `model` becomes 0.
+    """
 
     def __init__(self, model: mujoco.MjModel, camera: str, size: tuple[int, int]) -> None:
         if not hasattr(collections.abc, "Buffer"):
@@ -66,7 +69,9 @@ def render_elsewhere(
 ) -> list[NDArray[np.uint8]]:
     """Return the pictures (height, width, 3) of positions (nq,), rendered by another Python.
 
-    Raises subprocess.CalledProcessError if it fails; its messages are on the error output.
+    Raises:
+        subprocess.CalledProcessError: the program failed; its messages are on the error output.
+        subprocess.TimeoutExpired: it took longer than `_SECONDS`.
     """
     with tempfile.TemporaryDirectory(prefix="filament_") as folder:
         stored, states, pictures = (Path(folder) / name for name in ("model.mjb", "positions.npy", "pictures.npy"))

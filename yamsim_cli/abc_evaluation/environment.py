@@ -14,16 +14,16 @@ import numpy as np
 
 from ..core.closable import Closable
 from ..core.errors import ResourceError
-from ..core.geometry.camera import Intrinsics
+from ..core.geometry.camera import Intrinsics, opencv_from_mujoco
 from ..core.geometry.se3 import Array, pose, pose_from_quat
 from ..core.images.image import Image
 from ..core.rendering.renderer import SceneRenderer
+from ..core.scene.compilation import compile_spec, physics_failure
 from .start import BOTTLE_COUNT, BottlesStart, sample_start
 
 SIDES = ("left", "right")
 BOTTLES = tuple(f"bottle_{k + 1}" for k in range(BOTTLE_COUNT))
 BIN = "bin"
-CAMERAS = ("top", "left", "right", "overhead", "left_side", "right_side")  # names in the model
 
 TIMESTEP = 0.002  # s, of physics
 STEPS_PER_ACTION = 17
@@ -39,9 +39,6 @@ BIN_HEIGHTS = (-0.06, 0.26)  # m, relative to the bin's origin
 _SHADOW_MAP = 2048  # texels
 _SAMPLES = 4  # per pixel
 
-# From MuJoCo's camera axes (y up, looking along -z) to OpenCV's (y down, looking along z).
-_OPENCV_AXES = np.diag([1.0, -1.0, -1.0])
-
 
 class PutBottles(Closable):
     """The scene of a seed, at its start. Close it after use.
@@ -54,6 +51,7 @@ class PutBottles(Closable):
         actions: number of executed actions.
         most_in_bin: largest number of bottles that were in the bin at once, after the start or an action.
         has_succeeded: whether all bottles were in the bin at once.
+        failure: MuJoCo's reason why the simulation became unstable, which ends the trial; None without one.
 
     Args:
         folder: model files, see `model_files.find_model_folder`.
@@ -82,6 +80,7 @@ class PutBottles(Closable):
         self._renderer: SceneRenderer | None = None
         self.actions = self.most_in_bin = 0
         self.has_succeeded = False
+        self.failure: str | None = None
         self._set_start()
 
     def step(self, command: Array) -> None:
@@ -91,7 +90,10 @@ class PutBottles(Closable):
         for _ in range(STEPS_PER_ACTION):
             mujoco.mj_step(self.model, self.data)
         self.actions += 1
-        self._judge()
+        # MuJoCo resets an unstable state, which is then no result of the actions.
+        self.failure = physics_failure(self.data)
+        if self.failure is None:
+            self._judge()
 
     @property
     def joints(self) -> Array:
@@ -144,7 +146,7 @@ class PutBottles(Closable):
         """Return the pose (4, 4) of a camera in `world`, in OpenCV's convention."""
         self._show(self.data.qpos)
         found = self._shown.camera(camera)
-        return pose(found.xpos, found.xmat.reshape(3, 3) @ _OPENCV_AXES)
+        return pose(found.xpos, opencv_from_mujoco(found.xmat))
 
     def intrinsics(self, camera: str) -> Intrinsics:
         """Return the pinhole intrinsics of a camera's images."""
@@ -192,16 +194,16 @@ def _compile_model(folder: Path, start: BottlesStart) -> mujoco.MjModel:
     path = folder / "put_bottle.xml"
     try:
         spec = mujoco.MjSpec.from_file(str(path))
-        for mesh in spec.meshes:
-            found = re.match(r"bottle_(\d)_", mesh.name)
-            if found and int(found[1]) < BOTTLE_COUNT:
-                factor = float(start.bottle_scales[int(found[1])])
-            elif mesh.name.startswith("water_bottle_"):
-                factor = start.bin_scale
-            else:
-                continue
-            # ABC writes the size into XML with eight digits.
-            mesh.scale = [float(f"{float(value * factor):.8g}") for value in mesh.scale]
-        return spec.compile()
     except (ValueError, OSError, mujoco.FatalError) as error:
-        raise ResourceError(f"{path}: cannot be compiled: {' '.join(str(error).split())}") from error
+        raise ResourceError(f"{path}: cannot be read: {' '.join(str(error).split())}") from error
+    for mesh in spec.meshes:
+        found = re.match(r"bottle_(\d)_", mesh.name)
+        if found and int(found[1]) < BOTTLE_COUNT:
+            factor = float(start.bottle_scales[int(found[1])])
+        elif mesh.name.startswith("water_bottle_"):
+            factor = start.bin_scale
+        else:
+            continue
+        # ABC writes the size into XML with eight digits.
+        mesh.scale = [float(f"{float(value * factor):.8g}") for value in mesh.scale]
+    return compile_spec(spec, str(path), ResourceError)

@@ -22,7 +22,8 @@ from ..core.workers.executors import LostJobError
 from ..core.workers.process_pool import ProcessPool
 from ..kitchen_scenes import ABC_TASK
 from ..policies.action_chunks import ChunkSettings
-from ..policies.evaluate.compare import compare_reports, read_report, require_same_trials
+from ..policies.evaluate.compare import compare_reports, read_compared_reports
+from ..policies.evaluate.evaluation import chunk_totals, share_slower_than
 from ..policies.evaluate.policy_choice import PolicyChoice
 from ..policies.evaluate.policy_trial import TrialEnd
 from ..policies.policy_faults import PolicyFault
@@ -70,9 +71,7 @@ class BottlesEvaluation:
         Raises:
             UsageError: a report is unreadable or of other trials, or a policy does not exist.
         """
-        known = {name: read_report(Path(name)) for name in others if name.endswith(".json")}
-        for report in known.values():
-            require_same_trials(self._settings(), report)
+        known = read_compared_reports(others, self._settings())
         report = self._run(choice)
         found = [known.get(name) or self._run(choice.compared_with(name)) for name in others]
         if found:
@@ -141,7 +140,6 @@ def _lost_trial(lost: LostJobError) -> BottlesResult:
 def _statistics(results: Sequence[BottlesResult]) -> dict[str, Any]:
     n, succeeded = len(results), sum(result.success for result in results)
     calls = [seconds for result in results for seconds in result.seconds]
-    counts = [result.chunk_stats for result in results]
     shared = {
         "n": n,
         "n_success": succeeded,
@@ -159,23 +157,18 @@ def _statistics(results: Sequence[BottlesResult]) -> dict[str, Any]:
         "mean_bottles_in_bin": sum(len(result.in_bin) for result in results) / n,
         "mean_most_bottles_in_bin": sum(result.most_in_bin for result in results) / n,
         "ended": dict(Counter(result.ended.value for result in results)),
-        "chunks": {
-            "chunks": sum(count.chunks for count in counts),
-            "actions": sum(count.actions for count in counts),
-            "stale": sum(count.stale for count in counts),
-            "waited_s": round(sum(count.waited for count in counts) * ACTION_SECONDS, 6),
-        },
+        "chunks": chunk_totals([result.chunk_stats for result in results], ACTION_SECONDS),
         "by_instance": [{"instance": "", **shared}],
         "offset_m": None,
         "offset_in_hand_m": None,
-        "slower_than_real_time": sum(one > ACTION_SECONDS for one in calls) / len(calls) if calls else None,
+        "slower_than_real_time": share_slower_than(ACTION_SECONDS, calls),
     }
 
 
 def _cause(result: BottlesResult) -> str | None:
     if result.success:
         return None
-    return result.ended.value if result.fault.text else _BOTTLES_LEFT
+    return result.ended.value if result.fault.text or result.ended is TrialEnd.UNSTABLE else _BOTTLES_LEFT
 
 
 def _trial_report(result: BottlesResult) -> dict[str, Any]:

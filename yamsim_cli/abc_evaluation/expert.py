@@ -17,7 +17,7 @@ import numpy as np
 from ..core.geometry.se3 import Array, invert_pose, pose, rotation_z
 from ..kinematics import Kinematics, OutOfReachError
 from ..policies.policy_protocol import OBJECTS, Observation
-from .environment import BIN, BIN_HEIGHTS, BIN_RADIUS, BOTTLES, GRIPPER_OPENING, SIDES, PutBottles
+from .environment import BIN, BOTTLES, GRIPPER_OPENING, SIDES, PutBottles
 
 # ABC's arms are YAM arms with this rig's gripper. Poses of `grasp_site` differ by up to 9 mm between both models.
 _SIMILAR_RIG = "yam_station_linear_4310_d405"
@@ -76,7 +76,7 @@ class BottlesExpert:
         """Return the chunk that puts the next bottle into the bin."""
         command = np.asarray(observation["joints"]).reshape(len(SIDES), 7)
         T_bin = observation[f"T_{BIN}_in_world"]
-        outside = [name for name in BOTTLES if not _is_in_bin(observation[f"T_{name}_in_world"], T_bin)]
+        outside = [name for name, inside in zip(BOTTLES, self._scene.in_bin(), strict=True) if not inside]
         for name in sorted(outside, key=lambda name: self._tries[name]):
             self._tries[name] += 1
             T_bottle = observation[f"T_{name}_in_world"]
@@ -142,11 +142,6 @@ def interpolate(command: Array, arm: int, path: list[Waypoint]) -> Array:
         shares = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, n + 1) / n)
         rows += [first + share * (last - first) for share in shares] + [last] * waypoint.settle
     return np.array(rows[1:]).reshape(len(rows) - 1, -1)
-
-
-def _is_in_bin(T_bottle: Array, T_bin: Array) -> bool:
-    x, y, z = T_bottle[:3, 3] - T_bin[:3, 3]
-    return math.hypot(x, y) <= BIN_RADIUS and BIN_HEIGHTS[0] <= z <= BIN_HEIGHTS[1]
 
 
 def grasp_pose(T_bottle: Array) -> Array:

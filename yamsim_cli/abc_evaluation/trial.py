@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from ..core.images.image import Image
 from ..core.workers.job_server import kill_forks_at_exit
 from ..policies.action_chunks import ChunkScheduler, ChunkSettings, ChunkStats
 from ..policies.evaluate.observation import LazyObservation, ObservationRenderer
-from ..policies.evaluate.policy_calls import PolicyCaller, PolicyFailedError, PolicyTimeoutError, output_on_stderr
+from ..policies.evaluate.policy_calls import PolicyCaller, output_on_stderr
 from ..policies.evaluate.policy_choice import PolicyChoice
 from ..policies.evaluate.policy_factory import ExpertPolicy, PrivilegedPolicy, make_policy
 from ..policies.evaluate.policy_trial import NO_FAULT, POLICY_ERRORS, TrialEnd, describe_policy_error
@@ -150,10 +149,7 @@ class BottlesTrialRunner(Closable):
 
     def close(self) -> None:
         """Close the policy."""
-        close: Callable[[], object] | None = getattr(self._policy, "close", None)
-        if callable(close):
-            with contextlib.suppress(PolicyFailedError, PolicyTimeoutError):
-                self._caller.call(close)
+        self._caller.close(self._policy)
 
     def _drive(
         self,
@@ -170,22 +166,17 @@ class BottlesTrialRunner(Closable):
                 if scheduler.last_chunk_is_over(scene.actions):
                     return TrialEnd.DONE, NO_FAULT
                 if scheduler.is_due(scene.actions):
-                    answer = self._request_action(self._observe(scene, renderer), renderer)
+                    answer = self._caller.request(self._policy, self._observe(scene, renderer), renderer)
                     seconds.append(self._caller.seconds)
                     chunk = read_chunk(answer, *scene.joints.shape)
                     scheduler.add_chunk(chunk, scene.actions, self._caller.seconds)
                 command, _ = scheduler.command_at(scene.actions)
                 scene.step(command)
+                if scene.failure is not None:
+                    return TrialEnd.UNSTABLE, NO_FAULT
         except POLICY_ERRORS as error:
             return describe_policy_error(error, self._choice.call_seconds, scene.actions)
         return (TrialEnd.SUCCESS if scene.has_succeeded else TrialEnd.TIME_LIMIT), NO_FAULT
-
-    def _request_action(self, observation: LazyObservation, renderer: ObservationRenderer) -> object:
-        try:
-            return self._caller.call(lambda: self._policy(observation))
-        finally:
-            if renderer.failure is not None:
-                raise renderer.failure
 
     def _render(self, scene: PutBottles, qpos: Array, camera: str) -> Image:
         with self._caller.paused_limit():

@@ -73,7 +73,7 @@ class FitPriors:
     still_biases: tuple[float, float, float] = (0.3, 0.3, 0.3)
 
 
-_HELD = 1e-7  # least standard deviation of a focal length's logarithm, a delay (s) and an offset (rad): held
+_HELD = 1e-7  # least standard deviation of a prior: a value whose prior has the deviation 0 stays at its start
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,8 @@ class StationState:
     def base_poses(self, camera: int) -> dict[int, Array]:
         """Return the pose (4, 4) of each arm's base in a camera, at which `postures` puts the links in place.
 
-        This is the base body's own pose: turned by the first joint's offset from the one in `T_arm_in_base`.
+        This is the base body's own pose: turned by the first joint's offset from the one in `T_arm_in_base`. The first
+        joint of each arm turns about the z axis of its base.
         """
         return {
             arm: self.T_base_in_cam[camera] @ T @ pose(rotation=rotation_z(float(self.offsets[arm][0])))

@@ -42,8 +42,8 @@ class CameraEffects(Config):
             gain divides this number.
         read_noise_e: standard deviation of the read noise, electrons.
         jpeg_quality: quality of the JPEG compression in the camera, 1 to 100, before the image is stored.
-        h264_qp: quantiser of H.264 compression in the camera, 1 to 51, before the image is stored; 6 more double its
-            step. An image depends on those before it, as in a video. It needs the extra `video`.
+        h264_qp: quantization parameter (QP) of H.264 compression in the camera, 1 to 51, before the image is stored; an
+            increase by 6 doubles the step. An image depends on those before it, as in a video. Needs the extra `video`.
         h264_key_frames: number of frames from one key frame of `h264_qp` to the next; with 1, each image is compressed
             alone.
         crop: left, top, right and bottom edge of the part of the sensor's image that is kept, as shares of its size.

@@ -33,7 +33,7 @@ SNAP_AHEAD, SNAP_BESIDE = 0.30, 0.0
 
 _STEP = 0.002  # m, of displacements
 _RACK_GAP = 0.005  # m, between a rack and a displaced object
-_GAP = 0.03  # m, between a container and its lid beside it, and between a vessel and the source beside it
+_BESIDE_GAP = 0.03  # m, between a container and its lid beside it, and between a vessel and the source beside it
 _WALL_THICKNESS = 0.005  # m, thickness of a tray's walls
 _FINGER_CLEARANCES = (0.010, 0.003)  # m, between a wall and a displaced object, in the order tried
 _MAX_OVERLAP_SHIFT = 0.02  # m, accepted displacement to avoid an overlap with another object
@@ -99,12 +99,16 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
 
 
 def _put_beside(places: dict[str, Array], room: Mapping[str, Array], name: str, other: str) -> None:
-    """Displace an object to the side until it stands beside another one: a lid on its container would count as sealed,
-    and a vessel would stand in the source of its substance.
+    """Displace an object along y until its footprint is `_BESIDE_GAP` or more from that of `other`.
+
+    A lid on its container would count as sealed, and a source must not stand in the vessel.
     """
     T = places[name]
     away = math.copysign(_STEP, T[1, 3] - places[other][1, 3])
-    while footprint_distance(footprint_corners(room[name], T), footprint_corners(room[other], places[other])) < _GAP:
+    while (
+        footprint_distance(footprint_corners(room[name], T), footprint_corners(room[other], places[other]))
+        < _BESIDE_GAP
+    ):
         T[1, 3] += away
 
 

@@ -104,7 +104,7 @@ class KitchenWorld:
     def contained_mass_g(self, substance: str, container: str) -> float:
         """Return the mass in a container, g: of the pieces of a substance whose centres are in its interior.
 
-        Of any other object, it is the share of its volume in the container's bounding box.
+        For any other object, return its mass times the share of its volume in the container's bounding box.
         """
         if substance in self._pieces:
             bodies = self._pieces[substance]

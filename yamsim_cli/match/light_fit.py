@@ -89,8 +89,9 @@ def fit_light(renderer: StationRenderer, photos: Sequence[StationPhoto], progres
         for k in range(count):
             tried[up, 360.0 * k / count] = _fit(renderer, bases, up, 360.0 * k / count)
     for number, (step, starts) in enumerate(_REFINEMENTS.items()):
+        is_last = number == len(_REFINEMENTS) - 1
         progress(number + 1, len(_REFINEMENTS) + 1)
-        for place in (near for start in best(starts, number < 2) for near in _neighbours(start, step)):
+        for place in (near for start in best(starts, blurred=not is_last) for near in _neighbours(start, step)):
             if place not in tried:
                 tried[place] = _fit(renderer, bases, *place)
     progress(len(_REFINEMENTS) + 1, len(_REFINEMENTS) + 1)
@@ -103,6 +104,7 @@ def _neighbours(place: _Place, step: float) -> list[_Place]:
     for up, around in itertools.product((-step, 0.0, step), repeat=2):
         # The same step on the sphere needs a larger turn near the vertical.
         turn = around / max(0.2, math.cos(math.radians(place[0])))
+        # Steps beyond the vertical end at `_HIGHEST`, so that directions near it are tried.
         if _LOWEST < place[0] + up < 90.0 + step:
             found.append((min(place[0] + up, _HIGHEST), (place[1] + turn) % 360.0))
     return found
@@ -129,7 +131,7 @@ def _basis(renderer: StationRenderer, photo: StationPhoto) -> _Basis:
 def _fit(
     renderer: StationRenderer, bases: Sequence[_Basis], elevation: float, azimuth: float
 ) -> tuple[LightFit, float]:
-    """Return the best light of a direction, and the difference on the table if photo and fit are blurred."""
+    """Return the best light of a direction, and its error on the table, of 255, with photo and rendering blurred."""
     dark, direction = (0.0,) * 3, _direction(elevation, azimuth)
     renderer.set_light(Light(dark, (_BASIS,) * 3, direction, dark))
     arms: list[list[Array]] = []

@@ -50,7 +50,13 @@ _MAX_TICK_CHANGE = 0.07  # largest relative change of a control tick for a frame
 
 
 class Filling(Config):
-    """Loose pieces in a hollow object at its start: `grams` of `of`, in `max_pieces` at most, larger ones if needed."""
+    """Loose pieces that a hollow object contains at its start.
+
+    Attributes:
+        of: object config of a piece, whose collision geometry is one capsule or one sphere.
+        grams: total mass of the pieces.
+        max_pieces: largest number of pieces. If more are needed, pieces are larger, and their total mass is the same.
+    """
 
     of: Annotated[ObjectConfig, ConfigReference("objects")]
     grams: Annotated[FiniteFloat, QuantityBounds("g", 1, 1000)]

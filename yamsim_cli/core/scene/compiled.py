@@ -245,7 +245,7 @@ class CompiledScene:
         return qpos
 
     def set_object_pose(self, qpos: Array, name: str, T_in_world: Array) -> None:
-        """Write an object's positions at a pose into `qpos` (nq,); a cloth lies flat, and pieces are at their first."""
+        """Write an object's pose into `qpos` (nq,). A cloth lies flat; pieces get their first poses in the object."""
         if name in self.cloths:
             self.cloths[name].set_flat_pose(qpos, T_in_world)
             return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,20 @@ from yamsim_cli.core.statistics import Z95
 
 _SHARED_KEYS = ("task", "rig", "grasp", "arms", "seed")  # keys of a report that must be equal
 _MAX_BYTES = 500_000_000  # largest size of a report's file
+
+
+def read_compared_reports(others: Sequence[str], settings: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return those of `others` that are reports `FILE.json`, by name.
+
+    Args:
+        settings: `_SHARED_KEYS` and their values, of the evaluation that is compared.
+
+    Raises UsageError if a report is unreadable, or of other trials.
+    """
+    reports = {name: read_report(Path(name)) for name in others if name.endswith(".json")}
+    for report in reports.values():
+        require_same_trials(settings, report)
+    return reports
 
 
 def mcnemar_p_value(only_first: int, only_second: int) -> float:

@@ -32,6 +32,7 @@ from yamsim_cli.trials import (
     trial_settings,
 )
 
+from ..action_chunks import ChunkStats
 from .policy_choice import PolicyChoice
 from .policy_trial import MEASURED_ENDS, TrialEnd, TrialResult, TrialRunner, trial_rules
 
@@ -99,14 +100,23 @@ def _mean_offset(offsets: Sequence[tuple[float, ...] | None]) -> dict[str, Any] 
     return {"n": len(rows), "mean": rows.mean(axis=0).tolist(), "deviation": rows.std(axis=0).tolist()}
 
 
-def _chunk_totals(results: Sequence[TrialResult], tick: float) -> dict[str, Any]:
-    counts = [result.chunk_stats for result in results]
+def chunk_totals(counts: Sequence[ChunkStats], tick: float) -> dict[str, Any]:
+    """Return the sums of all trials' counts as JSON data.
+
+    Args:
+        tick: length of a control tick, s.
+    """
     return {
         "chunks": sum(count.chunks for count in counts),
         "actions": sum(count.actions for count in counts),
         "stale": sum(count.stale for count in counts),
         "waited_s": round(sum(count.waited for count in counts) * tick, 6),
     }
+
+
+def share_slower_than(tick: float, calls: Sequence[float]) -> float | None:
+    """Return the share of a policy's answers that took longer than a control tick, s; None without answers."""
+    return sum(seconds > tick for seconds in calls) / len(calls) if calls else None
 
 
 def _lost_trial(lost: LostJobError) -> TrialResult:
@@ -135,11 +145,11 @@ def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: 
         ),
         "ended": dict(Counter(result.ended.value for result in results)),
         "policy_s": summarize_values(calls),
-        "chunks": _chunk_totals(results, tick),
+        "chunks": chunk_totals([result.chunk_stats for result in results], tick),
         "by_instance": rates_by_objects(evaluation),
         "offset_m": _mean_offset([result.offset for result in results]),
         "offset_in_hand_m": _mean_offset([result.offset_in_hand for result in results]),
-        "slower_than_real_time": sum(seconds > tick for seconds in calls) / len(calls) if calls else None,
+        "slower_than_real_time": share_slower_than(tick, calls),
     }
     return {
         "policy": evaluation.choice.name,

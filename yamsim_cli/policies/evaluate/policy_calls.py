@@ -15,7 +15,8 @@ from yamsim_cli.core.workers.job_server import kill_forks_at_exit
 
 from ..policy_client import RemoteError
 from ..policy_faults import PolicyFault, describe_fault
-from ..policy_protocol import InvalidActionError
+from ..policy_protocol import InvalidActionError, Observation, Policy
+from .observation import ObservationRenderer
 
 T = TypeVar("T")
 
@@ -64,6 +65,21 @@ class PolicyCaller:
             raise PolicyFailedError(describe_fault(error, self._folder)) from error
         finally:
             self.seconds = time.monotonic() - began - self._waited
+
+    def request(self, policy: Policy, observation: Observation, renderer: ObservationRenderer) -> object:
+        """Return a policy's answer to an observation. Raise as `call`, or the error of rendering its images."""
+        try:
+            return self.call(lambda: policy(observation))
+        finally:
+            if renderer.failure is not None:
+                raise renderer.failure
+
+    def close(self, policy: Policy) -> None:
+        """Close a policy that has `close`, and ignore its faults."""
+        close = getattr(policy, "close", None)
+        if callable(close):
+            with contextlib.suppress(PolicyFailedError, PolicyTimeoutError):
+                self.call(close)
 
     @contextlib.contextmanager
     def paused_limit(self) -> Iterator[None]:

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import contextlib
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
@@ -22,7 +21,7 @@ from yamsim_cli.core.workers.job_server import kill_forks_at_exit
 from ..action_chunks import ChunkScheduler, ChunkSettings, ChunkStats
 from ..policy_faults import PolicyFault
 from ..policy_loading import reset_policy, wanted_images, wanted_state
-from ..policy_protocol import InvalidActionError, Observation, read_chunk
+from ..policy_protocol import InvalidActionError, read_chunk
 from .grasp_offset import GraspOffsetMonitor, final_offset
 from .observation import ObservationBuilder, ObservationRenderer, policy_cameras
 from .policy_calls import PolicyCaller, PolicyFailedError, PolicyTimeoutError, output_on_stderr
@@ -199,7 +198,8 @@ class TrialRunner(Closable):
             self._caller.call(lambda: reset_policy(self.policy, _policy_seed(attempt.job)))
             while episode.end is None and not scheduler.last_chunk_is_over(episode.ticks):
                 if scheduler.is_due(episode.ticks):
-                    answer = self._request_action(observer.observe(episode, attempt, renderer), renderer)
+                    observation = observer.observe(episode, attempt, renderer)
+                    answer = self._caller.request(self.policy, observation, renderer)
                     seconds.append(self._caller.seconds)
                     scheduler.add_chunk(read_chunk(answer, *observer.drive_shape), episode.ticks, self._caller.seconds)
                 ctrl, magnet = scheduler.command_at(episode.ticks)
@@ -214,23 +214,13 @@ class TrialRunner(Closable):
                     episode.step(ctrl, magnet)
         return TrialEnd.DONE if episode.end is None else TrialEnd(episode.end.reason.value), NO_FAULT
 
-    def _request_action(self, observation: Observation, renderer: ObservationRenderer) -> object:
-        try:
-            return self._caller.call(lambda: self.policy(observation))
-        finally:
-            if renderer.failure is not None:
-                raise renderer.failure
-
     def _render_camera(self, simulator: Simulator, attempt: Attempt, qpos: Array, camera: str) -> Image:
         with self._caller.paused_limit():
             return render_cameras(simulator, attempt, qpos, (camera,))[camera]
 
     def close(self) -> None:
         """Close the policy, and release the memory of the renderers."""
-        close = getattr(self.policy, "close", None)
-        if callable(close):
-            with contextlib.suppress(PolicyFailedError, PolicyTimeoutError):
-                self._caller.call(close)
+        self._caller.close(self.policy)
         self.simulators.close()
 
 

@@ -16,7 +16,7 @@ from yamsim_cli.session_opener import SessionOpener
 from yamsim_cli.trials import trial_settings
 
 from ..policy_loading import may_read_images
-from .compare import compare_reports, read_report, require_same_trials
+from .compare import compare_reports, read_compared_reports, read_report
 from .evaluation import Evaluation, evaluate, evaluation_report
 from .policy_choice import PolicyChoice
 from .training_settings import TrainingSettings, find_training_settings
@@ -77,9 +77,7 @@ def evaluate_and_compare(
     Raises:
         UsageError: a report is unreadable, or has other trials. It is raised before any trial runs.
     """
-    known = {name: read_report(Path(name)) for name in others if name.endswith(".json")}
-    for report in known.values():
-        require_same_trials(trial_settings(session.config), report)
+    known = read_compared_reports(others, trial_settings(session.config))
 
     def run(one: PolicyChoice) -> tuple[Evaluation, dict[str, Any]]:
         with watch() as progress:
