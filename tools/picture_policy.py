@@ -35,7 +35,9 @@ CHANNELS, MAPS, WIDTH = 32, 32, 512  # channels of convolutions and of the last 
 BATCH, LEARNING_RATE, WEIGHT_DECAY = 64, 3e-3, 1e-3
 AVERAGE = 0.995  # share of the old value in the running mean of the weights, at each step
 BRIGHTNESS = 0.1  # largest random change of the gain of each colour, as a share
-JOINT_NOISE = 0.02  # standard deviation of noise on joints, in their own standard deviations
+# Standard deviation of noise on the joints in training, in their own standard deviations. With little noise, the policy
+# reads the place of the grasp from the joints of the approach, and repeats their errors, instead of looking at the image.
+JOINT_NOISE = 0.3
 SMALLEST_DEVIATION = 1e-3  # rad or m, so that a drive that hardly moves is not scaled to noise
 
 
@@ -220,7 +222,7 @@ def main() -> None:
     parser.add_argument("demos", type=Path, help="dataset of yamsim record")
     parser.add_argument("out", type=Path, help="file of the weights")
     parser.add_argument("--episodes", type=int, help="train on the first ones only")
-    parser.add_argument("--steps", type=int, default=2500)
+    parser.add_argument("--steps", type=int, default=3000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     given = parser.parse_args()
