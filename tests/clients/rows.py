@@ -211,7 +211,7 @@ ROWS: dict[str, ClientRow] = {
     "abc-environment": ClientRow(
         client="ABC's simulated evaluation, from its repository, without its renderer",
         distribution="abc-minimal",
-        opens="`eval --task abc/put_bottles`: the starts of 200 seeds, the motion of the bottles, and the verdict after "
+        opens="`eval --task abc/put_bottles`: the starts of 200 seeds, the motion of bottles, and the verdict after "
         "each action of 200 sequences, with the same engine; the bottles that the expert puts into the bin",
         environment=Environment(),
         checkout="YAMSIM_ABC",
