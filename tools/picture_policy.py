@@ -36,7 +36,7 @@ BATCH, LEARNING_RATE, WEIGHT_DECAY = 64, 3e-3, 1e-3
 AVERAGE = 0.995  # share of the old value in the running mean of the weights, at each step
 BRIGHTNESS = 0.1  # largest random change of the gain of each colour, as a share
 # Standard deviation of noise on the joints in training, in their own standard deviations. With little noise, the policy
-# reads the place of the grasp from the joints of the approach, and repeats their errors, instead of looking at the image.
+# infers the place of the grasp from the joints of the approach, and repeats their errors, instead of using the image.
 JOINT_NOISE = 0.3
 SMALLEST_DEVIATION = 1e-3  # rad or m, so that a drive that hardly moves is not scaled to noise
 
