@@ -105,7 +105,7 @@ def take_photos(
     """Return an RGB photo (height, width, 3) and the mask of the arms (height, width) for each posture.
 
     Args:
-        render: another renderer of the images; the masks have the same.
+        render: renders the images in place of `StationRenderer`, which always makes the masks.
     """
     warp = LensWarp(station.camera, 2)
     size = warp.ideal.width, warp.ideal.height

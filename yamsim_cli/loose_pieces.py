@@ -19,7 +19,7 @@ from .core.config.objects.primitives import Capsule, Ring, Sphere
 from .core.config.objects.shapes import ContainerShape
 from .core.config.program_task import Filling, ProgramTask
 from .core.errors import UsageError
-from .core.geometry.se3 import Array, quat_from_rotation, rotation_from_vector
+from .core.geometry.se3 import Array, quat_from_rotation, rotation_between
 
 _FACTOR_DIGITS = 4  # decimals of the factor by which pieces are enlarged
 _SPACING = 2.06  # radii, between the axes of neighbouring pieces in a layer
@@ -68,7 +68,9 @@ def stacked_poses(task: ProgramTask, name: str) -> Array:
         )
     axis = next(k for k, places in enumerate(layouts) if len(places) == len(pieces))
     direction = (end - start) / np.linalg.norm(end - start) if length > 2 * radius else np.eye(3)[axis]
-    R = _rotation_onto(direction, np.eye(3)[axis])
+    # A capsule looks the same from both ends, so an opposite direction needs no turn.
+    target = np.eye(3)[axis] * (-1.0 if direction[axis] < 0 else 1.0)
+    R = rotation_between(direction, target)
     quat = quat_from_rotation(R)
     return np.array([(*(place - R @ (start + end) / 2), *quat) for place in layouts[axis]])
 
@@ -179,12 +181,3 @@ def _centred_grid(half: float, step: float) -> Array:
     count = int(2 * half / step + 1e-9) + 1 if half >= 0 else 0
     numbers: Array = (np.arange(count, dtype=np.float64) - (count - 1) / 2) * step
     return numbers
-
-
-def _rotation_onto(direction: Array, target: Array) -> Array:
-    """Return a rotation (3, 3) that turns one unit vector (3,) onto another one."""
-    normal = np.cross(direction, target)
-    sine = float(np.linalg.norm(normal))
-    if sine < 1e-9:
-        return np.eye(3)  # a capsule looks the same from both ends, so the opposite direction needs no turn
-    return rotation_from_vector(normal / sine * math.atan2(sine, float(direction @ target)))

@@ -1,4 +1,4 @@
-"""H.264 compression of a camera's images, whose artefacts a recording then has.
+"""H.264 compression of a camera's images, so that a recording shows its artefacts.
 
 Images of an episode are encoded and decoded in their order, so an image depends on those since the last key frame, as
 in a stream. The quantiser is constant, one thread encodes, and no image waits for later ones.
@@ -7,14 +7,14 @@ in a stream. The quantiser is constant, one thread encodes, and no image waits f
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from .core.errors import SimulationError
 from .core.images.image import Image
-from .core.images.video import BT601, convert_to_yuv420, require_encoder
+from .core.images.video import BT601, convert_to_yuv420, open_h264_encoder, require_encoder
 
 if TYPE_CHECKING:
     from av.video.codeccontext import VideoCodecContext
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # `ipratio` is the step of other frames, relative to that of key frames.
 _X264 = "ipratio=1:aq-mode=0:mbtree=0:scenecut=0"
 _ENCODER_OPTIONS = {"preset": "veryfast", "tune": "zerolatency", "x264-params": _X264}
-_TIME_BASE = Fraction(1, 30)  # s; a constant quantiser makes no use of it
+_PERIOD = Fraction(1, 30)  # s, which the encoder requires; it has no effect with a constant quantizer
 
 
 class VideoCompression:
@@ -33,10 +33,11 @@ class VideoCompression:
         packet: the last image in H.264 (Annex B), with headers if it is a key frame.
 
     Args:
-        qp: quantiser of all frames, 1 to 51; 6 more double the step.
+        qp: quantization parameter of all frames, 1 to 51; an increase by 6 doubles the step.
         key_frame_interval: frames between key frames; with 1, no image depends on another one.
 
-    Raises ResourceError if PyAV is not installed, or has no H.264 encoder.
+    Raises:
+        ResourceError: PyAV is not installed, or has no H.264 encoder.
     """
 
     def __init__(self, qp: int, key_frame_interval: int) -> None:
@@ -64,7 +65,9 @@ class VideoCompression:
         yuv = av.VideoFrame.from_ndarray(convert_to_yuv420(image, BT601), format="yuv420p")
         yuv.pts = frame
         if self._codecs is None:
-            self._codecs = _open_codecs(yuv.width, yuv.height, self._options)
+            decoder = av.CodecContext.create("h264", "r")
+            decoder.thread_count = 1
+            self._codecs = open_h264_encoder(yuv.width, yuv.height, _PERIOD, self._options), decoder
         encoder, decoder = self._codecs
         try:
             packets = encoder.encode(yuv)
@@ -77,14 +80,3 @@ class VideoCompression:
         # The result of FFmpeg's own conversion depends on the alignment of the memory.
         rgb = cv2.cvtColor(decoded[0].to_ndarray(format="yuv420p"), cv2.COLOR_YUV2RGB_I420)
         image[:] = np.asarray(rgb)[:height, :width]
-
-
-def _open_codecs(width: int, height: int, options: dict[str, str]) -> tuple[Any, Any]:
-    """Return an encoder and a decoder of images of a size, px."""
-    import av
-
-    encoder, decoder = av.CodecContext.create("libx264", "w"), av.CodecContext.create("h264", "r")
-    encoder.width, encoder.height, encoder.pix_fmt = width, height, "yuv420p"
-    encoder.time_base, encoder.options = _TIME_BASE, options
-    encoder.thread_count = decoder.thread_count = 1
-    return encoder, decoder

@@ -1,6 +1,6 @@
 """ABC's simulated evaluation beside `yamsim eval --task abc/put_bottles`: starts, motion and verdicts.
 
-`YAMSIM_ABC` names a checkout of amazon-far/abc. Both environments run the same engine, that of the tests.
+`YAMSIM_ABC` names a checkout of amazon-far/abc. Both environments run the MuJoCo version of the tests.
 """
 
 from __future__ import annotations

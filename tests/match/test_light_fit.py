@@ -1,4 +1,4 @@
-"""The light of photos whose tone curve is not that of the renderer."""
+"""The light is found in photos with another tone curve than the renderer's."""
 
 from __future__ import annotations
 

@@ -20,6 +20,7 @@ import argparse
 import json
 import resource
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -158,7 +159,7 @@ def main() -> None:
     parser.add_argument("--max-turn", type=float, default=0.5, help="degrees, likewise")
     parser.add_argument("--keep", type=Path, help="folder for episodes and results; recorded episodes are used again")
     given = parser.parse_args()
-    options = StationOptions(**{name: getattr(given, name) for name in StationOptions.__dataclass_fields__})
+    options = StationOptions(**{field.name: getattr(given, field.name) for field in fields(StationOptions)})
     if options.h264 and options.renderer == FILAMENT:
         parser.error("--h264 needs all pictures, and Filament renders those that the fit reads; leave one out")
     console, rows = Console(width=240), []
@@ -173,7 +174,8 @@ def main() -> None:
                 planted.save(truth)
             row = calibrate_station(folder, planted, options, not given.unknown_focal) | {"seed": seed}
             rows.append(row)
-            (folder / f"result_{options.frames}.json").write_text(json.dumps(row, indent=1))
+            suffix = "_unknown_focal" if given.unknown_focal else ""
+            (folder / f"result_{options.frames}{suffix}.json").write_text(json.dumps(row, indent=1))
             console.print(station_line(row), highlight=False)
     summarize(rows, (given.max_shift, given.max_turn), console)
 

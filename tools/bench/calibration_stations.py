@@ -68,7 +68,7 @@ class StationOptions:
         frames: pictures that the fit uses; Filament renders no others.
         arms: 1 or 2.
         wrist: whether wrist cameras are recorded too, with poses that differ from the rig's.
-        lens: one of `LENSES`: no distortion, distortion in the camera file, or distortion that the file lacks.
+        lens: one of `LENSES`: "none" (no distortion), "given" (the camera file states it) or "hidden" (it does not).
         hand: whether a hand hides part of some pictures.
         h264: whether pictures were a video, instead of JPEG.
     """

@@ -75,7 +75,7 @@ def main() -> None:
 
 
 def print_accuracies(views: list[ViewOfStation]) -> None:
-    """Print how well photos and renderings are told apart, held out."""
+    """Print the accuracy with which held-out patches are classified as photos or renderings."""
     for region in ("all", "arms"):
         for blur in (0.0, COARSE):
             shares = {

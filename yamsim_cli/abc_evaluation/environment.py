@@ -28,6 +28,9 @@ BIN = "bin"
 TIMESTEP = 0.002  # s, of physics
 STEPS_PER_ACTION = 17
 ACTION_SECONDS = TIMESTEP * STEPS_PER_ACTION  # s, simulated time of an action
+# Actions per second of a policy, as ABC's loop counts them: such a policy acts once per action of the simulation, whose
+# simulated time is 2 % longer.
+POLICY_HZ = 30
 GRIPPER_OPENING = 0.0475  # m, of one finger at the share 1
 _START_JOINTS = (0.0, 1.047, 1.047, 0.0, 0.0, 0.0)  # rad, of each arm; grippers start closed
 
@@ -126,16 +129,14 @@ class PutBottles(Closable):
     def hand_poses(self) -> Array:
         """Return the poses (2, 4, 4) of both `grasp_site`s in `world`."""
         self._show(self.data.qpos)
-        sites = [self._shown.site(f"{side}_grasp_site") for side in SIDES]
-        return np.array([pose(site.xpos, site.xmat.reshape(3, 3)) for site in sites])
+        return np.array([self._shown_hand(side) for side in SIDES])
 
     def hand_pose_at(self, arm: int, joints: Array) -> Array:
         """Return the pose (4, 4) of an arm's `grasp_site` in `world` at joints (6,), rad."""
         qpos = self.data.qpos.copy()
         qpos[self._qpos[arm, :6]] = joints
         self._show(qpos)
-        site = self._shown.site(f"{SIDES[arm]}_grasp_site")
-        return pose(site.xpos, site.xmat.reshape(3, 3))
+        return self._shown_hand(SIDES[arm])
 
     def base_pose(self, side: str) -> Array:
         """Return the pose (4, 4) of an arm's base in `world`."""
@@ -178,6 +179,10 @@ class PutBottles(Closable):
         count = int(self.in_bin().sum())
         self.most_in_bin = max(self.most_in_bin, count)
         self.has_succeeded = self.has_succeeded or count == BOTTLE_COUNT
+
+    def _shown_hand(self, side: str) -> Array:
+        site = self._shown.site(f"{side}_grasp_site")
+        return pose(site.xpos, site.xmat.reshape(3, 3))
 
     def _show(self, qpos: Array) -> None:
         self._shown.qpos[:] = qpos

@@ -17,13 +17,12 @@ from ..core.attempt_data import AttemptJob
 from ..core.errors import UsageError
 from ..core.files.resources import Locations
 from ..core.progress import Progress
-from ..core.statistics import summarize_values, wilson_interval_95
+from ..core.statistics import summarize_values
 from ..core.workers.executors import LostJobError
 from ..core.workers.process_pool import ProcessPool
 from ..kitchen_scenes import ABC_TASK
-from ..policies.action_chunks import ChunkSettings
-from ..policies.evaluate.compare import compare_reports, read_compared_reports
-from ..policies.evaluate.evaluation import chunk_totals, share_slower_than
+from ..policies.evaluate.compare import compare_with_others, read_compared_reports
+from ..policies.evaluate.evaluation import chunk_totals, policy_settings, share_slower_than, success_figures
 from ..policies.evaluate.policy_choice import PolicyChoice
 from ..policies.evaluate.policy_trial import TrialEnd
 from ..policies.policy_faults import PolicyFault
@@ -73,10 +72,7 @@ class BottlesEvaluation:
         """
         known = read_compared_reports(others, self._settings())
         report = self._run(choice)
-        found = [known.get(name) or self._run(choice.compared_with(name)) for name in others]
-        if found:
-            report["compared"] = [compare_reports(report, other) for other in found]
-        return report, found
+        return report, compare_with_others(report, others, known, lambda name: self._run(choice.compared_with(name)))
 
     def _settings(self) -> dict[str, Any]:
         return {"rig": RIG, "task": ABC_TASK, "grasp": "contact", "arms": list(SIDES), "seed": self.seed}
@@ -105,16 +101,8 @@ class BottlesEvaluation:
         }
 
     def _report_settings(self, choice: PolicyChoice, results: Sequence[BottlesResult]) -> dict[str, Any]:
-        used = next((result.chunking for result in results if result.chunking is not None), None)
-        chunking: ChunkSettings = used or choice.chunking
         return {
-            "policy_arguments": dict(choice.arguments),
-            "policy_config": choice.mapping,
-            "execute": chunking.execute,
-            "ensemble": chunking.ensemble,
-            "latency_s": "measured" if chunking.latency is None else chunking.latency,
-            "time_limit_s": round(max_actions(choice) * ACTION_SECONDS, 6),
-            "policy_timeout_s": choice.call_seconds,
+            **policy_settings(choice, [result.chunking for result in results], max_actions(choice) * ACTION_SECONDS),
             "size_px": list(self.size),
             "engine": f"MuJoCo {mujoco.__version__}",
         }
@@ -138,15 +126,8 @@ def _lost_trial(lost: LostJobError) -> BottlesResult:
 
 
 def _statistics(results: Sequence[BottlesResult]) -> dict[str, Any]:
-    n, succeeded = len(results), sum(result.success for result in results)
-    calls = [seconds for result in results for seconds in result.seconds]
-    shared = {
-        "n": n,
-        "n_success": succeeded,
-        "success_rate": succeeded / n,
-        "wilson95": wilson_interval_95(succeeded, n),
-        "policy_s": summarize_values(calls),
-    }
+    n, calls = len(results), [seconds for result in results for seconds in result.seconds]
+    shared = success_figures([result.success for result in results], calls)
     return {
         **shared,
         "threshold_m": None,

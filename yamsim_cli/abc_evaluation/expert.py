@@ -17,7 +17,7 @@ import numpy as np
 from ..core.geometry.se3 import Array, invert_pose, pose, rotation_z
 from ..kinematics import Kinematics, OutOfReachError
 from ..policies.policy_protocol import OBJECTS, Observation
-from .environment import BIN, BOTTLES, GRIPPER_OPENING, SIDES, PutBottles
+from .environment import BIN, BOTTLES, GRIPPER_OPENING, POLICY_HZ, SIDES, PutBottles
 
 # ABC's arms are YAM arms with this rig's gripper. Poses of `grasp_site` differ by up to 9 mm between both models.
 _SIMILAR_RIG = "yam_station_linear_4310_d405"
@@ -31,7 +31,6 @@ _MAX_TILT = 0.6  # rad, by which the hand may tilt where the arm is too short fo
 
 _JOINT_SPEED = 1.5  # rad/s, mean of a motion's fastest joint
 _SLOW_JOINT_SPEED = 0.5  # rad/s, near a bottle
-_POLICY_HZ = 30  # actions per second, as ABC counts them
 _FINGER_ACTIONS = 12  # actions for closing or opening the fingers
 _SETTLE_ACTIONS = 8  # actions of waiting before the fingers move, because the drives lag behind
 
@@ -87,8 +86,8 @@ class BottlesExpert:
                     path = list(self._plan(arm, T_bottle, turn, T_bin))
                 except OutOfReachError:
                     continue
-                return {"ctrl": interpolate(command, arm, path), "period": 1 / _POLICY_HZ}
-        return {"ctrl": np.tile(command.ravel(), (_POLICY_HZ, 1)), "period": 1 / _POLICY_HZ}
+                return {"ctrl": interpolate(command, arm, path), "period": 1 / POLICY_HZ}
+        return {"ctrl": np.tile(command.ravel(), (POLICY_HZ, 1)), "period": 1 / POLICY_HZ}
 
     def _arms_by_distance(self, T_bottle: Array) -> list[int]:
         bases = [self._scene.base_pose(side)[:2, 3] for side in SIDES]
@@ -105,7 +104,9 @@ class BottlesExpert:
         T_above = T_grasp.copy()
         T_above[2, 3] += _CLEARANCE
         above = self._solve(arm, T_above, home)
-        grasp = self._solve(arm, _turned_like(T_grasp, self._scene.hand_pose_at(arm, above)), above)
+        # The hand may tilt, and keeps its orientation on the way down.
+        T_grasp[:3, :3] = self._scene.hand_pose_at(arm, above)[:3, :3]
+        grasp = self._solve(arm, T_grasp, above)
         base = self._scene.base_pose(SIDES[arm])
         heading = math.atan2(*(T_bin[:2, 3] - base[:2, 3])[::-1])
         T_drop = pose(T_bin[:3, 3] + [0.0, 0.0, _DROP_HEIGHT], rotation_z(heading) @ _FORWARD)
@@ -138,7 +139,7 @@ def interpolate(command: Array, arm: int, path: list[Waypoint]) -> Array:
         last[arm] = [*waypoint.joints, waypoint.opening]
         farthest = float(np.abs(last[arm, :6] - first[arm, :6]).max())
         fingers = _FINGER_ACTIONS if last[arm, 6] != first[arm, 6] else 0
-        n = max(fingers, math.ceil(farthest / waypoint.speed * _POLICY_HZ), 1)
+        n = max(fingers, math.ceil(farthest / waypoint.speed * POLICY_HZ), 1)
         shares = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, n + 1) / n)
         rows += [first + share * (last - first) for share in shares] + [last] * waypoint.settle
     return np.array(rows[1:]).reshape(len(rows) - 1, -1)
@@ -153,8 +154,3 @@ def grasp_pose(T_bottle: Array) -> Array:
     down = np.array([0.0, 0.0, -1.0])
     point = T_bottle[:3, 3] + _GRASP_ALONG_BOTTLE * axis - [0.0, 0.0, _GRASP_DEPTH]
     return pose(point, np.column_stack([along, np.cross(down, along), down]))
-
-
-def _turned_like(T: Array, T_other: Array) -> Array:
-    """Return the pose at the position of `T` with the rotation of another pose."""
-    return pose(T[:3, 3], T_other[:3, :3])

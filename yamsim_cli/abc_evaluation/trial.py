@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -11,13 +11,13 @@ import numpy as np
 
 from ..core.attempt_data import AttemptJob
 from ..core.closable import Closable
-from ..core.errors import UsageError, suggest_similar
+from ..core.errors import UsageError
 from ..core.files.resources import Locations
 from ..core.geometry.se3 import Array, yaw
 from ..core.images.image import Image
 from ..core.workers.job_server import kill_forks_at_exit
 from ..policies.action_chunks import ChunkScheduler, ChunkSettings, ChunkStats
-from ..policies.evaluate.observation import LazyObservation, ObservationRenderer
+from ..policies.evaluate.observation import LazyObservation, ObservationRenderer, select_cameras
 from ..policies.evaluate.policy_calls import PolicyCaller, output_on_stderr
 from ..policies.evaluate.policy_choice import PolicyChoice
 from ..policies.evaluate.policy_factory import ExpertPolicy, PrivilegedPolicy, make_policy
@@ -26,7 +26,7 @@ from ..policies.external_policy import PolicyScene
 from ..policies.policy_faults import PolicyFault
 from ..policies.policy_loading import reset_policy, wanted_images, wanted_state
 from ..policies.policy_protocol import OBJECTS, SCENE, VELOCITIES, WRIST, Policy, read_chunk
-from .environment import ACTION_SECONDS, BIN, BOTTLES, GRIPPER_OPENING, SIDES, PutBottles
+from .environment import ACTION_SECONDS, BIN, BOTTLES, GRIPPER_OPENING, POLICY_HZ, SIDES, PutBottles
 from .expert import BottlesExpert
 
 RIG = "abc_put_bottles"  # name in reports: ABC's own model of two YAM arms
@@ -35,10 +35,6 @@ PROMPT = "sim put the plastic bottles in the bin"  # Source: amazon-far/abc e5e1
 # ABC's loop executes 15 actions of each of 120 chunks. Source: as above.
 EXECUTED_ACTIONS = 15
 MAX_ACTIONS = 1800
-
-# A policy of 30 actions per second acts once per action of the simulation, as in ABC's loop, which counts actions. The
-# simulated time of an action is `ACTION_SECONDS`, 2 % longer.
-POLICY_TICK = 1 / 30  # s
 
 _TOP = "top"
 # Requested image -> {key of an observation: camera of the model}.
@@ -109,7 +105,7 @@ class BottlesTrialRunner(Closable):
         try:
             if isinstance(self._policy, PrivilegedPolicy):
                 raise UsageError(f"--policy {choice.name}: put_bottles has no recordings")
-            self._cameras = _wanted_cameras(wanted_images(self._policy))
+            self._cameras = select_cameras(wanted_images(self._policy), _CAMERAS, "put_bottles")
             self._wanted = frozenset(wanted_state(self._policy))
             execute = choice.chunking.execute or getattr(self._policy, "execute", None) or EXECUTED_ACTIONS
             self._chunking = replace(choice.chunking, execute=execute, lead=getattr(self._policy, "lead", None))
@@ -124,7 +120,7 @@ class BottlesTrialRunner(Closable):
         hold = int(getattr(self._policy, "ticks", 1))
         with PutBottles(self._folder, seed, self._size) as scene:
             places = {name: _place(T) for name, T in scene.object_poses().items()}
-            scheduler = ChunkScheduler(self._chunking, POLICY_TICK, hold, scene.joints)
+            scheduler = ChunkScheduler(self._chunking, 1 / POLICY_HZ, hold, scene.joints)
             renderer = ObservationRenderer(lambda qpos, camera: self._render(scene, qpos, camera))
             if isinstance(self._policy, BottlesExpert):
                 self._policy.set_scene(scene)
@@ -200,18 +196,6 @@ class BottlesTrialRunner(Closable):
         if VELOCITIES in self._wanted:
             numbers["joint_velocities"] = scene.joint_velocities.ravel()
         return LazyObservation(numbers, scene.data.qpos.copy(), self._cameras, renderer)
-
-
-def _wanted_cameras(images: Iterable[str]) -> dict[str, str]:
-    cameras: dict[str, str] = {}
-    for name in images:
-        if name not in _CAMERAS:
-            raise UsageError(
-                f"the policy asks for the image {name!r}, which put_bottles does not have; "
-                f"{suggest_similar(name, _CAMERAS)}"
-            )
-        cameras |= _CAMERAS[name]
-    return cameras
 
 
 def _place(T: Array) -> tuple[float, float, float]:

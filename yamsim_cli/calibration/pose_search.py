@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_vector
+from ..core.geometry.se3 import Array, invert_pose, pose, rotation_between, rotation_from_vector, rotation_vector
 
 Mask = NDArray[np.bool_]
 
@@ -162,8 +162,7 @@ def _grid(views: Sequence[MaskView], K: Array, rng: np.random.Generator) -> list
     ray = np.array([(centre[0] - K[0, 2]) / K[0, 0], (centre[1] - K[1, 2]) / K[1, 1], 1.0])
     ray /= np.linalg.norm(ray)
     # A camera that looks straight at the middle, turned so that the middle appears at `centre`.
-    axis = np.cross([0.0, 0.0, 1.0], ray)
-    towards = rotation_from_vector(axis / max(np.linalg.norm(axis), 1e-9) * math.acos(float(np.clip(ray[2], -1, 1))))
+    towards = rotation_between((0.0, 0.0, 1.0), ray)
     poses = []
     for azimuth in np.arange(_AZIMUTHS) * 2 * math.pi / _AZIMUTHS:
         for elevation in _ELEVATIONS:

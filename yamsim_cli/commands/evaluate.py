@@ -128,27 +128,23 @@ def evaluate(
     )
     if task == ABC_TASK:
         report, reports = _evaluate_abc(choice, others, session_settings(locals()), locals())
-        _write_reports(report, reports, out, html)
-        print_report(report, lambda: evaluation_table(report), json)
-        evaluation.require_measured_trials(report)
-        require_success(report["stats"], min_success)
-        return
-    session, training = open_evaluation_session(
-        session_opener, config, choice, others, trained_on, renders=video is not None, **session_settings(locals())
-    )
-    films = open_films(video, session.config, overwrite=overwrite) if video else None
-    found = evaluate_and_compare(
-        session, choice, others, trial_timeout, training, lambda: progress_bar("trials", "trials")
-    )
-    report = found.report
-    if films:
-        report["videos"] = film_with_progress(
-            films,
-            lambda shown: evaluation.film_evaluation(
-                found.evaluation, video_trials, films, session, shown, successes=video_all
-            ),
+    else:
+        session, training = open_evaluation_session(
+            session_opener, config, choice, others, trained_on, renders=video is not None, **session_settings(locals())
         )
-    _write_reports(report, found.others, out, html)
+        films = open_films(video, session.config, overwrite=overwrite) if video else None
+        found = evaluate_and_compare(
+            session, choice, others, trial_timeout, training, lambda: progress_bar("trials", "trials")
+        )
+        report, reports = found.report, found.others
+        if films:
+            report["videos"] = film_with_progress(
+                films,
+                lambda shown: evaluation.film_evaluation(
+                    found.evaluation, video_trials, films, session, shown, successes=video_all
+                ),
+            )
+    _write_reports(report, reports, out, html)
     print_report(report, lambda: evaluation_table(report), json)
     evaluation.require_measured_trials(report)
     require_success(report["stats"], min_success)

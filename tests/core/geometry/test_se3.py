@@ -11,6 +11,7 @@ from yamsim_cli.core.geometry.se3 import (
     pose,
     pose_from_quat,
     quat_from_rotation,
+    rotation_between,
     rotation_from_vector,
     rotation_vector,
     rotation_z,
@@ -100,6 +101,19 @@ def test_rotations_close_to_a_half_turn_keep_their_precision(axis, missing):
 def test_a_rotation_vector_is_axis_times_angle(axis, angle):
     assert np.allclose(rotation_from_vector(axis * angle), rodrigues(axis, angle), atol=1e-11)
     assert np.allclose(rotation_vector(rodrigues(axis, angle)), axis * angle, atol=1e-9)
+
+
+@given(axes, axes)
+def test_a_rotation_between_vectors_turns_one_onto_the_other_by_their_angle(start, end):
+    R = rotation_between(start, end)
+    assert np.allclose(R @ start, end, atol=1e-8)
+    assert np.linalg.norm(rotation_vector(R)) == pytest.approx(math.acos(np.clip(start @ end, -1, 1)), abs=1e-6)
+
+
+def test_rotations_between_parallel_and_opposite_vectors():
+    x = np.array([1.0, 0.0, 0.0])
+    assert np.array_equal(rotation_between(x, x), np.eye(3))
+    assert np.allclose(rotation_between(x, -x) @ x, -x, atol=SMALL)
 
 
 @given(rotations, axes, st.floats(0, 3.1), st.floats(0, 1))

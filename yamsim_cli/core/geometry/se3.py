@@ -97,6 +97,18 @@ def rotation_from_vector(vector: Sequence[float] | Array) -> Array:
     return pose_from_quat((0, 0, 0), np.concatenate([[math.cos(half)], math.sin(half) * v / angle]))[:3, :3]
 
 
+def rotation_between(start: ArrayLike, end: ArrayLike) -> Array:
+    """Return the smallest rotation (3, 3) that turns a unit vector (3,) onto another one."""
+    a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    normal, cosine = np.cross(a, b), float(a @ b)
+    sine = float(np.linalg.norm(normal))
+    if sine < 1e-9:
+        if cosine > 0:
+            return np.eye(3)
+        normal = np.cross(a, np.eye(3)[np.argmin(np.abs(a))])  # opposite vectors: any axis across them
+    return rotation_from_vector(normal / np.linalg.norm(normal) * math.atan2(sine, cosine))
+
+
 def interpolate_rotation(start: ArrayLike, end: ArrayLike, fraction: float) -> Array:
     """Return the rotation (3, 3) at a `fraction` of the shortest arc from `start` to `end`."""
     R0, R1 = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import uuid
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import cv2
 import numpy as np
@@ -21,6 +21,7 @@ from .image import Image
 
 if TYPE_CHECKING:
     from av.container import OutputContainer
+    from av.video.codeccontext import VideoCodecContext
     from av.video.stream import VideoStream
 
 
@@ -139,6 +140,15 @@ _KEY_FRAME_SECONDS = 1  # s between key frames, the only frames to which players
 _MAX_DENOMINATOR = 1_000_000  # of a frame period as a fraction of a second; 1/30 s is not exact as a float
 
 
+def open_h264_encoder(width: int, height: int, period: Fraction, options: Mapping[str, str]) -> VideoCodecContext:
+    """Return an encoder of H.264 in Annex B for 4:2:0 images of a size, px, `period` s apart."""
+    context = _import_av().CodecContext.create("libx264", "w")
+    context.width, context.height, context.pix_fmt = width, height, "yuv420p"
+    # Several threads would split frames, which changes the bytes.
+    context.time_base, context.thread_count, context.options = period, 1, dict(options)
+    return cast("VideoCodecContext", context)
+
+
 def encode_packets(images: Iterable[Image], frame_period: float) -> list[bytes]:
     """Encode RGB images (height, width, 3) as H.264 in Annex B: a packet for each image, headers at each key frame.
 
@@ -155,10 +165,8 @@ def encode_packets(images: Iterable[Image], frame_period: float) -> list[bytes]:
         for count, image in enumerate(images, start=1):
             frame = av.VideoFrame.from_ndarray(convert_to_yuv420(image, BT601), format="yuv420p")
             if context is None:
-                context = av.CodecContext.create("libx264", "w")
-                context.width, context.height, context.pix_fmt = frame.width, frame.height, "yuv420p"
-                context.time_base, context.thread_count = period, 1
-                context.options = H264_OPTIONS | {"g": str(max(1, round(_KEY_FRAME_SECONDS / period)))}
+                options = H264_OPTIONS | {"g": str(max(1, round(_KEY_FRAME_SECONDS / period)))}
+                context = open_h264_encoder(frame.width, frame.height, period, options)
             frame.pts, frame.time_base = count - 1, period
             packets += [bytes(packet) for packet in context.encode(frame)]
         packets += [bytes(packet) for packet in context.encode(None)] if context else []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,24 @@ def read_compared_reports(others: Sequence[str], settings: Mapping[str, Any]) ->
     for report in reports.values():
         require_same_trials(settings, report)
     return reports
+
+
+def compare_with_others(
+    report: dict[str, Any],
+    others: Sequence[str],
+    known: Mapping[str, dict[str, Any]],
+    run: Callable[[str], dict[str, Any]],
+) -> list[dict[str, Any]]:
+    """Return the reports of `others`, and set `compared` in `report` if there are any.
+
+    Args:
+        known: reports that exist already, by name.
+        run: evaluates a policy, and returns its report.
+    """
+    found = [known.get(name) or run(name) for name in others]
+    if found:
+        report["compared"] = [compare_reports(report, other) for other in found]
+    return found
 
 
 def mcnemar_p_value(only_first: int, only_second: int) -> float:

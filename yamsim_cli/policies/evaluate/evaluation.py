@@ -32,7 +32,7 @@ from yamsim_cli.trials import (
     trial_settings,
 )
 
-from ..action_chunks import ChunkStats
+from ..action_chunks import ChunkSettings, ChunkStats
 from .policy_choice import PolicyChoice
 from .policy_trial import MEASURED_ENDS, TrialEnd, TrialResult, TrialRunner, trial_rules
 
@@ -78,18 +78,25 @@ def rates_by_objects(evaluation: Evaluation) -> list[dict[str, Any]]:
         found = [
             result for result, own in zip(evaluation.results, evaluation.object_instances, strict=True) if own == name
         ]
-        n, succeeded = len(found), sum(result.outcome.success for result in found)
-        rows.append(
-            {
-                "instance": name,
-                "n": n,
-                "n_success": succeeded,
-                "success_rate": succeeded / n,
-                "wilson95": wilson_interval_95(succeeded, n),
-                "policy_s": summarize_values([seconds for result in found for seconds in result.seconds]),
-            }
-        )
+        calls = [seconds for result in found for seconds in result.seconds]
+        rows.append({"instance": name, **success_figures([result.outcome.success for result in found], calls)})
     return rows
+
+
+def success_figures(successes: Sequence[bool], calls: Sequence[float]) -> dict[str, Any]:
+    """Return success rate, its 95 % interval, and inference times of one or more trials as JSON data.
+
+    Args:
+        calls: duration of each inference of these trials, s.
+    """
+    n, succeeded = len(successes), sum(successes)
+    return {
+        "n": n,
+        "n_success": succeeded,
+        "success_rate": succeeded / n,
+        "wilson95": wilson_interval_95(succeeded, n),
+        "policy_s": summarize_values(calls),
+    }
 
 
 def _mean_offset(offsets: Sequence[tuple[float, ...] | None]) -> dict[str, Any] | None:
@@ -170,21 +177,33 @@ def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: 
 def report_settings(evaluation: Evaluation, config: RecordConfig) -> dict[str, Any]:
     """Return what else decides the trials, as JSON data. `execute` is the policy's own value if none was given."""
     choice = evaluation.choice
-    used = [result.chunking for result in evaluation.results if result.chunking is not None]
-    chunking = used[0] if used else choice.chunking
+    limit = (trial_rules(config, choice).max_ticks or 0) * config.task.timing.tick_seconds
+    return {
+        **policy_settings(choice, [result.chunking for result in evaluation.results], limit),
+        "size_px": list(config.image.size_px),
+        "quality": config.render.name,
+        "randomization": config.randomization.name,
+        "randomized": list(config.randomization.varied_parts),
+        "camera_effects": [entry.model_dump(mode="json") for entry in config.camera_effects],
+    }
+
+
+def policy_settings(choice: PolicyChoice, used: Sequence[ChunkSettings | None], time_limit: float) -> dict[str, Any]:
+    """Return how a policy was called, as JSON data.
+
+    Args:
+        used: of each trial; None if it did not begin.
+        time_limit: longest trial, simulated s.
+    """
+    chunking = next((one for one in used if one is not None), choice.chunking)
     return {
         "policy_arguments": dict(choice.arguments),
         "policy_config": choice.mapping,
         "execute": chunking.execute,
         "ensemble": chunking.ensemble,
         "latency_s": "measured" if chunking.latency is None else chunking.latency,
-        "time_limit_s": round((trial_rules(config, choice).max_ticks or 0) * config.task.timing.tick_seconds, 6),
+        "time_limit_s": round(time_limit, 6),
         "policy_timeout_s": choice.call_seconds,
-        "size_px": list(config.image.size_px),
-        "quality": config.render.name,
-        "randomization": config.randomization.name,
-        "randomized": list(config.randomization.varied_parts),
-        "camera_effects": [entry.model_dump(mode="json") for entry in config.camera_effects],
     }
 
 

@@ -36,15 +36,25 @@ def available_cameras(config: RecordConfig) -> dict[str, dict[str, str]]:
 
 def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str]:
     """Return key of an observation -> camera of the scene, for the requested images."""
-    there = available_cameras(config)
+    where = f"rig {config.rig.name!r} with task {config.task.name!r}"
+    return select_cameras(images, available_cameras(config), where)
+
+
+def select_cameras(images: Iterable[str], available: Mapping[str, Mapping[str, str]], where: str) -> dict[str, str]:
+    """Return key of an observation -> camera of the scene, for the requested images.
+
+    Args:
+        available: name of an image -> its keys and cameras.
+        where: what lacks an image that is not available, in the message.
+
+    Raises UsageError if an image is not available.
+    """
     cameras: dict[str, str] = {}
     for name in images:
-        if name not in there:
-            raise UsageError(
-                f"the policy asks for the image {name!r}, which rig {config.rig.name!r} with task {config.task.name!r} "
-                f"does not have; {suggest_similar(name, there)}"
-            )
-        cameras |= there[name]
+        if name not in available:
+            hint = suggest_similar(name, available)
+            raise UsageError(f"the policy asks for the image {name!r}, which {where} does not have; {hint}")
+        cameras |= available[name]
     return cameras
 
 

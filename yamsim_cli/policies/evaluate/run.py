@@ -16,7 +16,7 @@ from yamsim_cli.session_opener import SessionOpener
 from yamsim_cli.trials import trial_settings
 
 from ..policy_loading import may_read_images
-from .compare import compare_reports, read_compared_reports, read_report
+from .compare import compare_reports, compare_with_others, read_compared_reports, read_report
 from .evaluation import Evaluation, evaluate, evaluation_report
 from .policy_choice import PolicyChoice
 from .training_settings import TrainingSettings, find_training_settings
@@ -89,9 +89,7 @@ def evaluate_and_compare(
         "dataset": training.source,
         "differences": {key: list(pair) for key, pair in training.differences(session.config).items()},
     }
-    found = [known.get(name) or run(choice.compared_with(name))[1] for name in others]
-    if found:
-        report["compared"] = [compare_reports(report, other) for other in found]
+    found = compare_with_others(report, others, known, lambda name: run(choice.compared_with(name))[1])
     return ComparedEvaluation(evaluation, report, found)
 
 
