@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
+import signal
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
@@ -14,11 +16,14 @@ from tests.core.dataset.making import tree
 from tests.recording.fake_episodes import Inline, Recording, payload
 from yamsim_cli.core.attempt_data import Attempt, AttemptJob, AttemptPayload, FailureCause, Outcome
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.dataset.records import AttemptRecord
 from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
+from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError, PartialJobError, ResourceError
 from yamsim_cli.core.expert.skills.program import typical_tick_count
 from yamsim_cli.core.workers.stop_request import StopRequest
 from yamsim_cli.filesystem_mounts import Mount
+from yamsim_cli.terminal.signals import stop_on_signal
 
 Make = Callable[..., RecordConfig]
 
@@ -236,6 +241,35 @@ def test_ctrl_c_ends_it_at_once_and_loses_nothing(recording: Recording, undistur
 
     with pytest.raises(InterruptedJobError, match=r"interrupted: [012] of 5 episodes"):
         recording.run(Inline(interrupted))
+    recording.resume()
+    assert tree(recording.path) == undisturbed
+
+
+@pytest.mark.parametrize(("signals", "complete"), [(2, 1), (3, 0)])
+def test_the_second_signal_waits_until_an_episode_and_its_ledger_line_are_written(
+    recording: Recording,
+    undisturbed: dict[str, bytes],
+    monkeypatch: pytest.MonkeyPatch,
+    signals: int,
+    complete: int,
+) -> None:
+    log_attempt = DatasetWriter.log_attempt
+
+    def interrupted(self: DatasetWriter, attempt: AttemptRecord) -> None:
+        for _ in range(signals):
+            os.kill(os.getpid(), signal.SIGINT)
+        log_attempt(self, attempt)
+
+    monkeypatch.setattr(DatasetWriter, "log_attempt", interrupted)
+    with (
+        stop_on_signal("stopping") as recording.stop,
+        pytest.raises(InterruptedJobError, match=f"interrupted: {complete} of 5 episodes are complete"),
+    ):
+        recording.run()
+    # Even after the third signal, which comes before the ledger line, the episode is kept.
+    assert [path.name for path in recording.path.glob("ep_*")] == ["ep_000000"]
+    monkeypatch.undo()
+    recording.stop = StopRequest()
     recording.resume()
     assert tree(recording.path) == undisturbed
 

@@ -124,12 +124,16 @@ class Collector:
         """Write all results that are next in the order of attempts; return whether there were any."""
         before = len(self._finished)
         for attempt in self._lost_attempts.keys() & self._finished.keys():
-            self._restore_lost_episode(self._finished.pop(attempt))
+            with self._stop.uninterrupted():
+                self._restore_lost_episode(self._finished.pop(attempt))
         while (lost := min(self._sink.lost_lines, default=-1)) in self._finished:
-            self._log_restored_attempt(self._finished.pop(lost))
+            with self._stop.uninterrupted():
+                self._log_restored_attempt(self._finished.pop(lost))
         # New episodes get numbers only when the outcomes of all earlier attempts are known.
         while not self._sink.lost_lines and self._next_is_finished:
-            self._commit_attempt(self._finished.pop(len(self._sink.attempts)))
+            # An episode, its line in the ledger and its entry in the manifest belong together.
+            with self._stop.uninterrupted():
+                self._commit_attempt(self._finished.pop(len(self._sink.attempts)))
         if len(self._finished) == before:
             return False
         self._report_progress()

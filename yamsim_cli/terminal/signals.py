@@ -36,13 +36,16 @@ def defer_signals() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def stop_on_signal(message: str) -> Iterator[StopRequest]:
-    """Yield a stop request that the first signal or a closed terminal sets. The second raises KeyboardInterrupt."""
+    """Yield a stop request that the first signal or a closed terminal sets. The second raises KeyboardInterrupt.
+
+    In an `uninterrupted` block of the request, the second raises at the end of the block, and the third at once.
+    """
     from yamsim_cli.core.workers.stop_request import StopRequest
 
     stop = StopRequest()
 
     def request_stop(number: int, frame: FrameType | None) -> None:
-        if stop.is_requested:
+        if stop.is_requested and not stop.postpone_interrupt():
             _raise_interrupt(number, frame)
         stop.request_stop()
         # The handler may have interrupted a write to sys.stderr, which is not reentrant.

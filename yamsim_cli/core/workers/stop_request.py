@@ -1,16 +1,21 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 
 class StopRequest:
     """A request to end a job, which the job checks between two steps.
 
-    A signal handler or another thread makes the request; no request is withdrawn.
+    A signal handler or another thread makes the request; no request is withdrawn. A later interrupt ends the job at
+    once, except in an `uninterrupted` block.
     """
 
     def __init__(self) -> None:
         self._asked_at: float | None = None
+        self._in_block = False
+        self._interrupt_waits = False
 
     @property
     def is_requested(self) -> bool:
@@ -26,3 +31,25 @@ class StopRequest:
         """Request the end of the job."""
         if self._asked_at is None:
             self._asked_at = time.monotonic()
+
+    def postpone_interrupt(self) -> bool:
+        """Return whether an interrupt that arrives now waits for the end of an `uninterrupted` block.
+
+        Only one interrupt waits, so that another one can end a block that blocks.
+        """
+        if not self._in_block or self._interrupt_waits:
+            return False
+        self._interrupt_waits = True
+        return True
+
+    @contextmanager
+    def uninterrupted(self) -> Iterator[None]:
+        """Let the first interrupt in the `with` block raise KeyboardInterrupt at the end of the block."""
+        self._in_block = True
+        try:
+            yield
+        finally:
+            self._in_block = False
+        if self._interrupt_waits:
+            self._interrupt_waits = False
+            raise KeyboardInterrupt
