@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from yamsim_cli.calibration.calibrate_run import CameraOutcome, StationOutcome
 from yamsim_cli.calibration.calibration_file import (
     CalibratedArm,
     CalibratedCamera,
@@ -14,7 +18,7 @@ from yamsim_cli.calibration.calibration_file import (
     calibration_text,
     load_calibration,
 )
-from yamsim_cli.calibration.calibration_report import require_agreement, write_results
+from yamsim_cli.calibration.calibration_report import make_calibration, require_agreement, write_results
 from yamsim_cli.calibration.chosen_frames import (
     BackgroundPicture,
     compare_with_background,
@@ -23,10 +27,13 @@ from yamsim_cli.calibration.chosen_frames import (
     uncovered_background,
 )
 from yamsim_cli.calibration.pose_search import MaskView, mask_overlap
+from yamsim_cli.calibration.station_fit import Layout, StationFit, start_state
+from yamsim_cli.calibration.uncertainty import PoseInterval, StationIntervals
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import ConfigError, SimulationError, UsageError
 from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import pose
 
 
@@ -138,3 +145,20 @@ def test_a_refusal_leaves_no_calibration_of_an_earlier_run(tmp_path: Path) -> No
     again = write_results(tmp_path, {"rig": "single"}, "page", None)
     assert sorted(tmp_path.iterdir()) == sorted(again)
     assert [file.name for file in again] == ["calibration.json", "calibration.html"]
+
+
+@pytest.mark.parametrize(("focal", "half_width"), [("given", 0.588), ("estimated", 2.0)])
+def test_the_pose_and_the_focal_length_are_of_one_fit(single: RigConfig, focal: str, half_width: float) -> None:
+    state = start_state(single, [np.eye(4)], [math.log(1.01)], 1)
+    layout = Layout(1, 1, (single.arms[0].robot.dof,), 0)
+    equations: Any = SimpleNamespace(camera=0, median=0.2)
+    fit = StationFit(layout, state, (equations,), np.eye(layout.size), (np.zeros(3),))
+    exact = PoseInterval(np.zeros(3), np.zeros(3))
+    intervals = StationIntervals((exact,), (0.02,), (0.0,), (np.zeros(layout.dofs[0]),), (exact,), (0.0,), (0.0,))
+    model = CameraModel.from_focal_length(320, 240, 300.0, focal_sigma=0.003)
+    camera = CameraOutcome("top", model, focal == "given", None, {"frames": 40})
+    calibration = make_calibration(single, StationOutcome((camera,), ("top",), (), (), fit, intervals))
+    assert calibration is not None
+    found = calibration.cameras[0]
+    assert (found.K[0][0], found.K[1][1], found.K[0][2]) == pytest.approx((303.0, 303.0, model.K[0][2]))
+    assert (found.focal, found.focal_95_percent) == (focal, pytest.approx(half_width, rel=1e-3))

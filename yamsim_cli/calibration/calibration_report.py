@@ -109,11 +109,9 @@ def _calibrated_camera(
     outcome: CameraOutcome, number: int, fit: StationFit, intervals: StationIntervals
 ) -> CalibratedCamera:
     T, model = invert_pose(fit.state.T_base_in_cam[number]), outcome.model
-    # A known focal length stays as given, with the error that its file has: the fit only allows for it.
-    focal_95 = Z95 * model.focal_sigma
-    if not outcome.is_focal_known:
-        focal_95 = intervals.log_focal[number]
-        model = replace(model, K=_with_focal_scale(model, math.exp(fit.state.log_focal[number])))
+    # The pose belongs to the fitted focal length, also where the fit moved a given one within its error.
+    model = replace(model, K=_with_focal_scale(model, math.exp(fit.state.log_focal[number])))
+    focal_95 = Z95 * model.focal_sigma if outcome.is_focal_known else intervals.log_focal[number]
     return CalibratedCamera(
         name=outcome.name,
         **_model_and_pose(model, T, intervals.cameras[number]),
