@@ -15,7 +15,7 @@ import argparse
 import copy
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,8 @@ CHUNK = 32  # actions of 64 ms in an answer
 TICKS = 2  # control ticks of an action: two for each frame of a dataset
 CHANNELS, MAPS, WIDTH = 32, 32, 512  # channels of convolutions and of the last one, outputs of linear layers
 BATCH, LEARNING_RATE, WEIGHT_DECAY = 64, 3e-3, 1e-3
+WARM_UP = 200  # steps over which the learning rate rises to its value
+LARGEST_GRADIENT = 1.0  # norm to which the gradient of all weights together is clipped
 AVERAGE = 0.995  # share of the old value in the running mean of the weights, at each step
 BRIGHTNESS = 0.1  # largest random change of the gain of each colour, as a share
 # Standard deviation of noise on the joints in training, in their own standard deviations. With little noise, the policy
@@ -51,9 +53,9 @@ class Scaling:
     action_deviation: torch.Tensor
 
     @classmethod
-    def of(cls, windows: ChunkWindows) -> Scaling:
+    def of(cls, datasets: Sequence[ChunkWindows]) -> Scaling:
         """Compute the scaling from all frames."""
-        rows = (np.array(windows.arrays[key]) for key in ("joints", "action"))
+        rows = (np.concatenate([one.arrays[key] for one in datasets]) for key in ("joints", "action"))
         found = [
             torch.from_numpy(values.astype(np.float32))
             for row in rows
@@ -111,6 +113,12 @@ class PictureNet(nn.Module):
             nn.ReLU(),
             nn.Linear(WIDTH, CHUNK * numbers),
         )
+        # With PyTorch's default weights, which are smaller, the loss after 800 steps was 0.230 instead of 0.211.
+        for layer in self.modules():
+            if isinstance(layer, nn.Conv2d | nn.Linear):
+                nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
+                nn.init.zeros_(layer.bias)
+        nn.init.xavier_normal_(self.head[-1].weight)
 
     def forward(self, image: torch.Tensor, joints: torch.Tensor) -> torch.Tensor:
         """Return actions (batch, chunk, numbers) for images (batch, 3, height, width) and joints (batch, drives)."""
@@ -138,24 +146,40 @@ def augment(image: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
     return (image + 1) * gain - 1
 
 
-def train(demos: Path, out: Path, *, steps: int, seed: int, episodes: int | None = None, batch: int = BATCH) -> float:
-    """Train on the first `episodes` of a dataset, write weights to `out`, and return the mean of the last losses."""
+def learning_rate_factor(step: int, steps: int) -> float:
+    """Return the factor on the learning rate: a linear rise over `WARM_UP` steps, times a cosine from 1 to 0."""
+    return min(1.0, (step + 1) / WARM_UP) * 0.5 * (1 + math.cos(math.pi * step / steps))
+
+
+def windows_at(datasets: Sequence[ChunkWindows], rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the windows at `rows` (batch,) of the concatenated datasets."""
+    ends = np.cumsum([len(one) for one in datasets])
+    owner = np.searchsorted(ends, rows, side="right")
+    parts = [one[rows[owner == k] - ends[k] + len(one)] for k, one in enumerate(datasets) if (owner == k).any()]
+    return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+
+
+def train(
+    demos: Sequence[Path], out: Path, *, steps: int, seed: int, episodes: int | None = None, batch: int = BATCH
+) -> float:
+    """Train on the first `episodes` of each dataset, write weights to `out`, and return the mean of the last losses."""
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
-    windows = ChunkWindows(open_dataset(demos)[:episodes], [SCENE_CAMERA], chunk=CHUNK)
-    scaling, first = Scaling.of(windows), windows[0]
+    datasets = [ChunkWindows(open_dataset(path)[:episodes], [SCENE_CAMERA], chunk=CHUNK) for path in demos]
+    frames = sum(len(one) for one in datasets)
+    scaling, first = Scaling.of(datasets), datasets[0][0]
     height, width = crop(first[SCENE_CAMERA]).shape[:2]
     net = PictureNet(height, width, first["joints"].size, first["action"].shape[-1])
     net = net.to(memory_format=torch.channels_last)
     averaged = copy.deepcopy(net)
     optimizer = torch.optim.AdamW(net.parameters(), LEARNING_RATE, weight_decay=WEIGHT_DECAY)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
-    batches = ShuffledBatches(len(windows), min(batch, len(windows)), seed=seed)
+    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: learning_rate_factor(step, steps))
+    batches = ShuffledBatches(frames, min(batch, frames), seed=seed)
     done, losses, began = 0, [], time.process_time()
     for epoch in range(math.ceil(steps / len(batches))):
         batches.set_epoch(epoch)
         for rows in batches:
-            window = windows[rows]
+            window = windows_at(datasets, np.asarray(rows))
             joints = (torch.from_numpy(window["joints"]) - scaling.joint_mean) / scaling.joint_deviation
             joints = joints + JOINT_NOISE * torch.randn(joints.shape, generator=generator)
             wanted = (torch.from_numpy(window["action"]) - scaling.action_mean) / scaling.action_deviation
@@ -164,6 +188,7 @@ def train(demos: Path, out: Path, *, steps: int, seed: int, episodes: int | None
             loss = nn.functional.l1_loss(answer, wanted)
             optimizer.zero_grad()
             loss.backward()
+            nn.utils.clip_grad_norm_(net.parameters(), LARGEST_GRADIENT)
             optimizer.step()
             schedule.step()
             done += 1
@@ -219,10 +244,10 @@ class PicturePolicy:
 def main() -> None:
     """Train from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("demos", type=Path, help="dataset of yamsim record")
+    parser.add_argument("demos", type=Path, nargs="+", help="datasets of yamsim record or draw")
     parser.add_argument("out", type=Path, help="file of the weights")
-    parser.add_argument("--episodes", type=int, help="train on the first ones only")
-    parser.add_argument("--steps", type=int, default=3000)
+    parser.add_argument("--episodes", type=int, help="train on the first ones of each dataset only")
+    parser.add_argument("--steps", type=int, default=4000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     given = parser.parse_args()
