@@ -188,7 +188,7 @@ ROWS: dict[str, ClientRow] = {
         distribution="yam-abc-reproduce",
         opens="`serve-robot --cameras --leader`: the GUI finds cameras, arms and leaders, and collects the episode "
         "that the leaders perform; a policy server drives both arms, also with real-time chunking; what both report "
-        "of a server that dies, a lost motor, lost frames and a camera that stops",
+        "of a server that dies, a lost motor, lost frames and a camera that stops; its own tests pass",
         environment=Environment("maker-station", "3.12"),
         checkout="YAMSIM_MAKER",
     ),

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import threading
 import time
@@ -147,6 +148,24 @@ def test_the_gui_collects_an_episode_that_the_leaders_perform(
     dataset = bring_in(tmp_path / "real", [tmp_path / "data" / "episodes"], station, locations)
     (motion,) = read_motions([dataset], station, locations)
     assert len(motion.times) == listed["num_frames"]
+
+
+def test_its_own_tests_pass_where_the_station_takes_the_place_of_devices(
+    client: Callable[[str], Interpreter], tmp_path: Path
+) -> None:
+    """They use arms and cameras of their own, and no bus; the adapters come first on their path."""
+    program = client("maker-station")
+    # A busy machine does not start its server in the 0.6 s that this file allows.
+    flags = ["-q", "-p", "no:cacheprovider", "--deselect", "tests/test_deploy_probe_quiet.py"]
+    with (
+        served_robot(tmp_path / "buses", *SERVED) as served,
+        maker_program(program, served, tmp_path, "tests", *flags) as process,
+    ):
+        code = process.wait(PATIENCE_S)
+    said = (tmp_path / "output.txt").read_text(encoding="utf-8")
+    assert code == 0, said[-3000:]
+    found = re.search(r"(\d+) passed", said)
+    assert found and int(found[1]) > 100, said[-3000:]
 
 
 @pytest.mark.parametrize("rtc", [False, True], ids=["chunks", "rtc"])
