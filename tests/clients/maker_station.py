@@ -24,17 +24,18 @@ from tests.clients.environments import REPOSITORY, SCRIPTS, Interpreter, checkou
 from tests.clients.served_robot import ServedRobot
 
 RIG = "yam_station_linear_4310_d405"
-SERVED = ("--rig", RIG, "--size", "160x120", "--quality", "fast", "--cameras", "--camera-fps", "4")
+SIZE = (160, 120)  # px, of small images
+SERVED = ("--rig", RIG, "--size", f"{SIZE[0]}x{SIZE[1]}", "--quality", "fast", "--cameras", "--camera-fps", "4")
 CHANNELS = ("can_left", "can_right")
 PATIENCE_S = 600  # the machine may be busy
 _INTEGRATION = REPOSITORY / "integrations" / "maker_station_yamsim"
 
 
-def write_station(folder: Path) -> Path:
-    """The integration's station file, for the tests' small images."""
+def write_station(folder: Path, size: tuple[int, int] = SIZE) -> Path:
+    """The integration's station file, for images of another size."""
     station = yaml.safe_load((_INTEGRATION / "station.yaml").read_text(encoding="utf-8"))
     for camera in station["cameras"]:
-        camera |= {"width": 160, "height": 120}
+        camera |= {"width": size[0], "height": size[1]}
     path = folder / "station.yaml"
     path.write_text(yaml.safe_dump(station), encoding="utf-8")
     return path
@@ -42,16 +43,16 @@ def write_station(folder: Path) -> Path:
 
 @contextmanager
 def maker_program(
-    interpreter: Interpreter, served: ServedRobot, folder: Path, *arguments: object
+    interpreter: Interpreter, served: ServedRobot, folder: Path, *arguments: object, script: str = "maker_program.py"
 ) -> Iterator[subprocess.Popen[str]]:
     """Run a program in `folder`, and interrupt it at the end if it still runs; its output is in `output.txt`."""
     launcher = [sys.executable, "-m", "maker_station_yamsim", "--folder", str(served.folder)]
-    script = [str(interpreter.python), str(SCRIPTS / "maker_program.py"), str(checkout("YAMSIM_MAKER"))]
+    program = [str(interpreter.python), str(SCRIPTS / script), str(checkout("YAMSIM_MAKER"))]
     path = os.pathsep.join([str(REPOSITORY), str(_INTEGRATION)])
     with (
         (folder / "output.txt").open("w", encoding="utf-8") as output,
         subprocess.Popen(
-            [*launcher, *script, *map(str, arguments)],
+            [*launcher, *program, *map(str, arguments)],
             env={**os.environ, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1"},
             cwd=folder,
             stdin=subprocess.DEVNULL,
@@ -141,13 +142,24 @@ class MakerGui:
 
 
 @contextmanager
-def maker_gui(interpreter: Interpreter, served: ServedRobot, folder: Path) -> Iterator[MakerGui]:
-    """Run `yam-abc-gui`, from its first answer on."""
+def maker_gui(
+    interpreter: Interpreter,
+    served: ServedRobot,
+    folder: Path,
+    size: tuple[int, int] = SIZE,
+    times: Path | None = None,
+) -> Iterator[MakerGui]:
+    """Run `yam-abc-gui`, from its first answer on.
+
+    Args:
+        times: where `maker_collects.py` writes the times of a recording's rows; without, `maker_program.py` runs it.
+    """
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    arguments = ["gui", "--station", write_station(folder), "--host", "127.0.0.1", "--port", port]
-    with maker_program(interpreter, served, folder, *arguments) as process:
+    script, first = ("maker_collects.py", times) if times else ("maker_program.py", "gui")
+    arguments = [first, "--station", write_station(folder, size), "--host", "127.0.0.1", "--port", port]
+    with maker_program(interpreter, served, folder, *arguments, script=script) as process:
         gui = MakerGui(port, process, folder)
         end = time.monotonic() + PATIENCE_S
         while not gui.is_up():

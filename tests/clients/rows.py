@@ -187,8 +187,8 @@ ROWS: dict[str, ClientRow] = {
         client="the maker's yam-abc-gui and yam-abc-deploy, from its repository",
         distribution="yam-abc-reproduce",
         opens="`serve-robot --cameras --leader`: the GUI finds cameras, arms and leaders, and collects the episode "
-        "that the leaders perform; a policy server drives both arms, also with real-time chunking; what they report "
-        "of a server that dies, a lost motor, lost frames and a camera that stops",
+        "that the leaders perform; a policy server drives both arms, also with real-time chunking; what both report "
+        "of a server that dies, a lost motor, lost frames and a camera that stops; its own tests pass",
         environment=Environment("maker-station", "3.12"),
         checkout="YAMSIM_MAKER",
     ),

@@ -1,10 +1,12 @@
 """ABC's converter and the dataset of its trainer on `export abc`, and `import` of the converter's output.
 
-`YAMSIM_ABC` names a checkout of amazon-far/abc; its converter also needs ffmpeg and ffprobe.
+`YAMSIM_ABC` names a checkout of amazon-far/abc. Its converter also needs ffmpeg and ffprobe, and its dataset the
+libraries of ffmpeg.
 """
 
 from __future__ import annotations
 
+import ctypes.util
 import json
 import shutil
 from collections.abc import Callable
@@ -105,6 +107,8 @@ def test_its_trainers_dataset_reads_the_training_layout(
     station: RigConfig,
     tmp_path: Path,
 ) -> None:
+    if not ctypes.util.find_library("avcodec"):
+        pytest.skip("the libraries of ffmpeg, with which its dataset decodes videos, are not here")
     data = export("training")
     told = client("abc-loader").run(
         "abc_loads.py", checkout("YAMSIM_ABC"), data, tmp_path / "read.npz", timeout_s=PATIENCE_S

@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import threading
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -43,6 +45,9 @@ pytest.importorskip("websockets", reason="yamsim[remote] is not installed")
 FRAMES = 60  # two seconds of motion
 ROLES = ("top", "left", "right")
 GOAL = np.array([0.3, 1.1, 1.2, -0.2, 0.1, 0.2, 0.5] * 2, np.float32)
+HOLD_S = 3.0  # s of a dead server, several chunks
+STOP_AT_S = 45  # simulated s at which a camera stops; by then the program shows its first images
+REQUESTS = 8  # with the same image, after which a camera counts as stopped: 4 s and more
 ROW_RAD = 0.03  # of a server's plans, less than the program's limit of 0.05 rad an action
 
 
@@ -52,23 +57,41 @@ class Planner:
     def __init__(self, requests: int = 1_000_000) -> None:
         self.asked: list[Mapping[str, Any]] = []
         self.last = GOAL
-        self.arrived = threading.Event()
+        self.arrived, self.died = threading.Event(), threading.Event()
         self._requests = requests
 
     def __call__(self, data: bytes) -> bytes:
         if len(self.asked) == self._requests:
+            self.died.set()
             raise ConnectionResetError("the server has died")
         message = unpack_openpi(data)
         self.asked.append(message)
         if np.abs(message["state"] - GOAL).max() < 0.1:
             self.arrived.set()
         rows = list(message.get("action_prefix", [message["state"]]))
+        goal = self.goal()
         for _ in range(19):
-            rows.append(rows[-1] + np.clip(GOAL - rows[-1], -ROW_RAD, ROW_RAD).astype(np.float32))
+            rows.append(rows[-1] + np.clip(goal - rows[-1], -ROW_RAD, ROW_RAD).astype(np.float32))
         actions = np.array(rows[len(rows) - 19 :] if "action_prefix" not in message else rows)
         # With real-time chunking the program executes 15 rows after the prefix of 4, and otherwise 15 rows.
         self.last = actions[18 if "action_prefix" in message else 14]
         return pack_openpi({"actions": actions})
+
+    def goal(self) -> np.ndarray:
+        return GOAL
+
+
+class Swinger(Planner):
+    """Turns both arms to and fro without end, so that all images change."""
+
+    def goal(self) -> np.ndarray:
+        goal = GOAL.copy()
+        goal[[0, 7]] += 0.4 * (-1) ** (len(self.asked) // 4)
+        return goal
+
+    def images_of(self, role: str, requests: int) -> int:
+        """How many different images of a camera the last requests had."""
+        return len({message["images"][role].tobytes() for message in self.asked[-requests:]})
 
 
 METADATA = pack_openpi({"state_dim": 14})
@@ -127,6 +150,24 @@ def test_the_gui_collects_an_episode_that_the_leaders_perform(
     assert len(motion.times) == listed["num_frames"]
 
 
+def test_its_own_tests_pass_where_the_station_takes_the_place_of_devices(
+    client: Callable[[str], Interpreter], tmp_path: Path
+) -> None:
+    """They use arms and cameras of their own, and no bus; the adapters come first on their path."""
+    program = client("maker-station")
+    # A busy machine does not start its server in the 0.6 s that this file allows.
+    flags = ["-q", "-p", "no:cacheprovider", "--deselect", "tests/test_deploy_probe_quiet.py"]
+    with (
+        served_robot(tmp_path / "buses", *SERVED) as served,
+        maker_program(program, served, tmp_path, "tests", *flags) as process,
+    ):
+        code = process.wait(PATIENCE_S)
+    said = (tmp_path / "output.txt").read_text(encoding="utf-8")
+    assert code == 0, said[-3000:]
+    found = re.search(r"(\d+) passed", said)
+    assert found and int(found[1]) > 100, said[-3000:]
+
+
 @pytest.mark.parametrize("rtc", [False, True], ids=["chunks", "rtc"])
 def test_deploy_drives_the_arms_from_a_policy_server(
     client: Callable[[str], Interpreter], tmp_path: Path, rtc: bool
@@ -147,16 +188,62 @@ def test_deploy_drives_the_arms_from_a_policy_server(
     assert ("action_prefix" in asked) is rtc
 
 
-def test_deploy_stops_commanding_when_the_policy_server_dies(
-    client: Callable[[str], Interpreter], tmp_path: Path
-) -> None:
-    """It prints the error; the SDK's threads then hold the arms until the process is killed."""
+@pytest.mark.parametrize("rtc", [False, True], ids=["chunks", "rtc"])
+def test_deploy_when_the_policy_server_dies(client: Callable[[str], Interpreter], tmp_path: Path, rtc: bool) -> None:
+    """It prints the error; the SDK's threads then hold the arms until the process is killed.
+
+    With real-time chunking, it reports nothing: its query thread tries again and again, while the last action is held.
+    """
     program, planner = client("maker-station"), Planner(requests=3)
     with served_robot(tmp_path / "buses", *SERVED) as served, openpi_server(planner, METADATA) as url:
         let_motors_wait(served, program)
         where = ["--station", write_station(tmp_path), "--host", "127.0.0.1", "--port", url.rpartition(":")[2]]
+        flags = ["--prompt", "do it", "--seconds", PATIENCE_S, *["--rtc"] * rtc]
+        with maker_program(program, served, tmp_path, "deploy", *where, *flags) as process:
+            if rtc:
+                wait_until(tmp_path, planner.died.is_set)
+                time.sleep(HOLD_S)
+                assert process.poll() is None
+                process.send_signal(signal.SIGINT)
+                assert "Traceback" not in wait_for_output(tmp_path, "interrupted -- estopping")
+            else:
+                assert "Traceback" in wait_for_output(tmp_path, "exceptions.ConnectionClosed")
+
+
+def test_deploy_refuses_an_arm_without_a_motor(client: Callable[[str], Interpreter], tmp_path: Path) -> None:
+    program, planner = client("maker-station"), Planner()
+    lost = ("--fault", "lost:motor=3,channel=can_right")
+    with served_robot(tmp_path / "buses", *SERVED, *lost) as served, openpi_server(planner, METADATA) as url:
+        let_motors_wait(served, program, ["can_left"])
+        where = ["--station", write_station(tmp_path), "--host", "127.0.0.1", "--port", url.rpartition(":")[2]]
         with maker_program(program, served, tmp_path, "deploy", *where, "--prompt", "do it"):
-            assert "Traceback" in wait_for_output(tmp_path, "exceptions.ConnectionClosed")
+            said = wait_for_output(tmp_path, "failed to build arm 'right' (follower=yam_right->can_right)")
+            assert "motor 3 (DM4340)" in said
+    assert not planner.asked
+
+
+def test_deploy_with_lost_frames_and_a_camera_that_stops(client: Callable[[str], Interpreter], tmp_path: Path) -> None:
+    """Lost frames are asked for again. The policy gets the last image of the stopped camera, without a message."""
+    program, planner = client("maker-station"), Swinger()
+    faults = ("--fault", "drop:share=0.01,at=20", "--fault", f"silent:camera=top,at={STOP_AT_S}")
+    with served_robot(tmp_path / "buses", *SERVED, *faults) as served, openpi_server(planner, METADATA) as url:
+        let_motors_wait(served, program)
+        where = ["--station", write_station(tmp_path), "--host", "127.0.0.1", "--port", url.rpartition(":")[2]]
+        flags = ["--prompt", "do it", "--seconds", PATIENCE_S]
+        with maker_program(program, served, tmp_path, "deploy", *where, *flags) as process:
+
+            def has_stopped() -> bool:
+                if "produced no frames" in (tmp_path / "output.txt").read_text(encoding="utf-8"):
+                    pytest.skip("the machine is too busy: the program was not up before the camera stopped")
+                return len(planner.asked) > REQUESTS and planner.images_of("top", REQUESTS) == 1
+
+            wait_until(tmp_path, has_stopped)
+            assert min(planner.images_of(role, REQUESTS) for role in ("left", "right")) > 1
+            assert planner.images_of("top", len(planner.asked)) > 1
+            process.send_signal(signal.SIGINT)
+            said = wait_for_output(tmp_path, "interrupted -- estopping")
+    assert "Traceback" not in said and "camera" not in said.lower()
+    assert served.report["dropped"] > 0
 
 
 @pytest.mark.parametrize("rtc", [False, True], ids=["chunks", "rtc"])
