@@ -17,14 +17,20 @@ from ..core.config.goals.world import TABLE
 from ..core.config.objects.object_config import ObjectConfig
 from ..core.config.objects.shapes import ContainerShape, VesselShape
 from ..core.expert.planning.collision_checker import AttachedObject
+from ..core.expert.planning.trajectory import is_collision_free
 from ..core.expert.skills.grasp_candidates import GraspCandidate
 from ..core.expert.skills.hand import Hand
 from ..core.expert.skills.pick import Pick, ReachableGrasp
-from ..core.expert.skills.planning_context import MotionSegment, PlanningContext, SkillFailedError
+from ..core.expert.skills.planning_context import (
+    MotionSegment,
+    PlanningContext,
+    SkillFailedError,
+    plan_free_path,
+)
 from ..core.expert.skills.skill import Skill, find_holding_hand
-from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector
+from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_z
 
-_FORCE = 25.0  # N, of each finger: holds a carton with 500 g by friction, with a margin of ten
+_FORCE = 40.0  # N, of each finger: holds a carton with 500 g by friction, with a margin of ten
 _CLEARANCE = 0.006  # m, additional opening of each finger before closing: a carton is 80 mm wide, a hand opens 95 mm
 _GRASP_AZIMUTHS = 24  # directions from which a hand may grasp a round source
 _GRASP_TILTS = (8, 0, 20, 30, 40)  # degrees down from horizontal, of that hand, in the order tried
@@ -36,25 +42,45 @@ _TILT_AZIMUTHS = 16  # directions in which a round source may tilt
 _TILT_STEP = math.radians(5)  # rad, between the angles of a tilt at which contacts are checked
 _MAX_TILT = math.radians(145)  # rad; a source that tilts further is empty already
 _MIN_TILT = math.radians(95)  # rad, least tilt that a grasp has to allow
-_ENOUGH_TILT = math.radians(135)  # rad; no other grasp is tried once one allows that
+_ENOUGH_TILT = math.radians(150)  # rad, score of a tilt; no other grasp is tried once one has that
+# rad, by which the source turns about the vertical on its way to the vessel
+_HEADINGS = tuple(math.radians(turn) for turn in (0, 30, -30, 60, -60, 90, -90))
+_STROKE_VALUE = 2.0  # rad per m: how much tilt the stroke of shaking is worth
 _MAX_JOINT_STEP = 0.6  # rad, of a joint in one step of a tilt; more is another posture
-_LIP_GAP = 0.02  # m, from the vessel's rim up to the source
-_LIP_OFFSET = 0.35  # of the vessel's radius, by which the lip stays behind the middle: pieces fly on
+_LIP_GAP = 0.03  # m, from the vessel's rim up to the source
+# Share of the vessel's radius by which the lip stays behind the middle at most. Pieces topple once half of their length
+# is over the lip, so it stays behind by half their length.
+_MAX_LIP_OFFSET = 0.8
 
 _TICKS = 10  # control ticks of a step: one action of the benchmark
 _FAST_STEP, _SLOW_STEP = math.radians(12), math.radians(4)  # rad, of a step before and after the first piece left
 _SLOW_SHARE = 0.05  # of the pieces; if more leave in a step, the source tilts no further
-_SHAKE = math.radians(10)  # rad, back and forth, of a source that tilts no further: friction holds pieces in it
-_MAX_WAITS = 6  # steps without a piece that leaves, at the largest tilt
+# m, along the source's axis, back and forth in an action each, of a source that tilts no further: friction holds pieces
+# in it. The first that the arm reaches is taken.
+_SHAKES = (0.16, 0.14, 0.12, 0.10, 0.08, 0.06, 0.04, 0.02)
+_MAX_WAITS = 20  # steps without a piece that leaves, at the largest tilt
 _CARRY_SPEED = 0.25  # m/s
+_UPRIGHT = math.cos(math.radians(25))  # least cosine of the tilt of a source on its way
+_SAME_JOINTS = 0.05  # rad, between joints that count as the same posture
+_SEARCH_SEED = 0  # of the random search for a way around
 
 
 @dataclass(frozen=True)
 class _Tilt:
-    """A motion that tilts the source over the vessel, as its angles (n,), rad, increasing from 0, and joints (n, dof)."""
+    """A motion that tilts the source over the vessel, as its angles (n,), rad, increasing from 0, and joints (n, dof).
+
+    `back` are joints (dof,) with which the source, at its largest angle, is drawn back along its axis by `stroke`, m.
+    """
 
     angles: Array
     joints: Array
+    back: Array
+    stroke: float
+
+    @property
+    def score(self) -> float:
+        """The largest angle, rad, and what the stroke of shaking is worth."""
+        return float(self.angles[-1]) + _STROKE_VALUE * self.stroke
 
     def joints_at(self, angle: float) -> Array:
         return np.array([np.interp(angle, self.angles, row) for row in self.joints.T])
@@ -85,6 +111,7 @@ class Pour(Skill):
         hand = find_holding_hand(context, thing)
         if hand is None:
             yield from _raise_touching_hands(context)
+            pieces.weigh()
             hand, grasp = self._find_grasp(context, thing, vessel)
             yield from Pick(thing=self.thing, lift=_LIFT).grasp_and_lift(context, hand, thing, grasp)
         held = context.measure_held_object(hand)
@@ -114,8 +141,8 @@ class Pour(Skill):
             tilt = _longest_tilt(
                 context, hand, thing, vessel, invert_pose(candidate.T_pinch_in_thing), found.grasp_joints
             )
-            if tilt is not None and (best is None or tilt.angles[-1] > best[0]):
-                best = (float(tilt.angles[-1]), hand, found)
+            if tilt is not None and (best is None or tilt.score > best[0]):
+                best = (tilt.score, hand, found)
                 if best[0] >= _ENOUGH_TILT:
                     break
         if best is None:
@@ -126,6 +153,7 @@ class Pour(Skill):
     def _tilt_until_poured(
         self, context: PlanningContext, hand: Hand, tilt: _Tilt, pieces: _Pieces
     ) -> Iterator[MotionSegment]:
+        held = context.measure_held_object(hand)
         angle, left, waits = 0.0, pieces.left_share, 0
         largest = float(tilt.angles[-1])
         while pieces.left_share < self.share and waits < _MAX_WAITS:
@@ -136,10 +164,12 @@ class Pour(Skill):
                 goal = angle
             else:
                 goal = min(angle + (_FAST_STEP if left == 0 else _SLOW_STEP), largest)
+            pieces.weigh()
             if goal == angle:
-                back = max(goal - _SHAKE, 0.0)
-                yield context.make_segment({hand: _tilt_path(tilt, angle, back)}, wait_for_arrival=False)
-                yield context.make_segment({hand: _tilt_path(tilt, back, angle)}, wait_for_arrival=False)
+                here = tilt.joints_at(angle)
+                back = _shake_back(hand, here, held.T_thing_in_pinch)[0] if angle < largest else tilt.back
+                yield context.make_segment({hand: np.linspace(here, back, _TICKS + 1)}, wait_for_arrival=False)
+                yield context.make_segment({hand: np.linspace(back, here, _TICKS + 1)}, wait_for_arrival=False)
             else:
                 yield context.make_segment({hand: _tilt_path(tilt, angle, goal)}, wait_for_arrival=False)
             angle = goal
@@ -149,13 +179,39 @@ class Pour(Skill):
             angle = goal
 
 
+def _piece_bodies(context: PlanningContext, thing: str) -> list[int]:
+    model = context.model
+    return [k for k in range(model.nbody) if model.body(k).name.startswith(f"{thing}_piece_")]
+
+
+def _piece_length(context: PlanningContext, thing: str) -> float:
+    """Return the length of an object's loose pieces, m."""
+    body = _piece_bodies(context, thing)[0]
+    return 2 * float(context.model.geom_size[context.model.body_geomadr[body]][:2].sum())
+
+
 class _Pieces:
     """The loose pieces of a filled object, and where they are now."""
 
     def __init__(self, context: PlanningContext, thing: str, vessel: str) -> None:
-        model = context.model
-        self._world, self._thing, self._vessel = context.world, thing, vessel
-        self._bodies = [k for k in range(model.nbody) if model.body(k).name.startswith(f"{thing}_piece_")]
+        self._context, self._world, self._thing, self._vessel = context, context.world, thing, vessel
+        self._empty = context.object_configs[thing]
+        self._bodies = _piece_bodies(context, thing)
+
+    def weigh(self) -> None:
+        """Let the planning context know the mass and the centre of mass of the source with the pieces in it now."""
+        data, model = self._world.data, self._context.model
+        T = self._world.pose(self._thing)
+        inside = self._world.points_inside(self._thing, data.xipos[self._bodies])
+        bodies = np.array(self._bodies)[inside]
+        masses = model.body_mass[bodies]
+        centres = (data.xipos[bodies] - T[:3, 3]) @ T[:3, :3]
+        empty = self._empty.inertia
+        total = empty.mass + float(masses.sum())
+        centre = (empty.mass * np.array(empty.centre) + masses @ centres) / total
+        inertia = empty.model_copy(update={"mass_g": 1000 * total, "centre": tuple(float(x) for x in centre)})
+        filled = self._empty.model_copy(update={"inertia": inertia})
+        self._context.object_configs = {**self._context.object_configs, self._thing: filled}
 
     @property
     def left_share(self) -> float:
@@ -206,17 +262,21 @@ def _grasps(source: ObjectConfig) -> Iterator[GraspCandidate]:
                 yield GraspCandidate(pose((0.0, 0.0, height), R), width / 2, _CLEARANCE, _FORCE)
 
 
-def _tilt_directions(source: ObjectConfig, T_source: Array) -> Iterator[tuple[Array, float]]:
-    """Yield horizontal unit vectors (3,) in the source's frame towards which it may tilt, and the lip's distance, m."""
+def _tilt_directions(source: ObjectConfig) -> Iterator[tuple[Array, float, float]]:
+    """Yield ways to tilt a source.
+
+    Each is a horizontal unit vector (3,) in the source's frame towards which it tilts, the lip's distance from its
+    middle, m, and the angle by which it turns about the vertical on its way to the vessel, rad.
+    """
     shape = source.shape
     if isinstance(shape, ContainerShape):
-        for k, side in itertools.product((0, 1), (1.0, -1.0)):
-            yield side * np.eye(3)[k], shape.size_mm[k] / 2000
+        for k, side, turn in itertools.product((0, 1), (1.0, -1.0), _HEADINGS):
+            yield side * np.eye(3)[k], shape.size_mm[k] / 2000, turn
         return
     assert isinstance(shape, VesselShape)
     for k in range(_TILT_AZIMUTHS):
         turn = 2 * math.pi * k / _TILT_AZIMUTHS
-        yield np.array([math.cos(turn), math.sin(turn), 0.0]), shape.diameter_mm / 2000
+        yield np.array([math.cos(turn), math.sin(turn), 0.0]), shape.diameter_mm / 2000, 0.0
 
 
 def _longest_tilt(
@@ -224,10 +284,9 @@ def _longest_tilt(
 ) -> _Tilt | None:
     """Return the motion that tilts a held source furthest over a vessel; None if none reaches `_MIN_TILT`."""
     best: _Tilt | None = None
-    T_held = hand.pinch_pose(joints) @ T_thing_in_pinch
-    for direction, lip in _tilt_directions(context.object_configs[thing], T_held):
-        found = _tilt_towards(context, hand, thing, vessel, T_thing_in_pinch, joints, direction, lip)
-        if found is not None and (best is None or found.angles[-1] > best.angles[-1] + 1e-6):
+    for direction, lip, turn in _tilt_directions(context.object_configs[thing]):
+        found = _tilt_towards(context, hand, thing, vessel, T_thing_in_pinch, joints, direction, lip, turn)
+        if found is not None and (best is None or found.score > best.score):
             best = found
     return best
 
@@ -241,18 +300,20 @@ def _tilt_towards(
     joints: Array,
     direction: Array,
     lip: float,
+    turn: float,
 ) -> _Tilt | None:
     source, target = context.object_configs[thing], context.object_configs[vessel]
     assert source.shape is not None and isinstance(target.shape, VesselShape)
     tall = float(source.shape.size_mm[2] if isinstance(source.shape, ContainerShape) else source.shape.height_mm) / 1000
     radius, rim = target.shape.diameter_mm / 2000, target.shape.height_mm / 1000
     T_vessel, table = context.world.pose(vessel), float(context.world.aabb(TABLE)[1][2])
-    R = (hand.pinch_pose(joints) @ T_thing_in_pinch)[:3, :3]
+    R = rotation_z(turn) @ (hand.pinch_pose(joints) @ T_thing_in_pinch)[:3, :3]
     towards = R @ direction
     towards[2] = 0.0
     towards /= np.linalg.norm(towards)
     axis = np.cross([0.0, 0.0, 1.0], towards)
-    behind = _edge_distance(context, vessel, -towards) - _LIP_OFFSET * radius
+    offset = min(_piece_length(context, thing) / 2, _MAX_LIP_OFFSET * radius)
+    behind = _edge_distance(context, vessel, -towards) - offset
     load = AttachedObject(thing, T_thing_in_pinch)
     T_pinch_in_thing = invert_pose(T_thing_in_pinch)
     angles, rows = [], []
@@ -260,7 +321,7 @@ def _tilt_towards(
         height = max(
             T_vessel[2, 3] + rim + _lip_height(angle, tall, behind), table + _LIP_GAP + tall * math.cos(angle)
         )
-        at = T_vessel[:3, 3] - _LIP_OFFSET * radius * towards
+        at = T_vessel[:3, 3] - offset * towards
         at[2] = height
         turned = rotation_from_vector(angle * axis) @ R
         T_thing = pose(at - turned @ (lip * direction + [0.0, 0.0, tall]), turned)
@@ -273,7 +334,8 @@ def _tilt_towards(
         rows.append(found)
     if not angles or angles[-1] < _MIN_TILT:
         return None
-    return _Tilt(np.array(angles), np.array(rows))
+    back, stroke = _shake_back(hand, rows[-1], T_thing_in_pinch)
+    return _Tilt(np.array(angles), np.array(rows), back, stroke)
 
 
 def _edge_distance(context: PlanningContext, vessel: str, direction: Array) -> float:
@@ -303,13 +365,46 @@ def _lip_height(angle: float, tall: float, behind: float) -> float:
     return min(tall * cos + _LIP_GAP, (_LIP_GAP + behind * cos) / max(sin, 1e-9))
 
 
+def _shake_back(hand: Hand, joints: Array, T_thing_in_pinch: Array) -> tuple[Array, float]:
+    """Return joints (dof,) with which a held source is drawn back along its axis, and how far, m."""
+    T = hand.pinch_pose(joints)
+    axis = (T @ T_thing_in_pinch)[:3, 2]
+    for stroke in _SHAKES:
+        found = hand.solve_ik(pose(T[:3, 3] - stroke * axis, T[:3, :3]), (joints,))
+        if found is not None and np.abs(found - joints).max() < _MAX_JOINT_STEP:
+            return found, stroke
+    return joints, 0.0
+
+
 def _carry(context: PlanningContext, hand: Hand, tilt: _Tilt) -> Iterator[MotionSegment]:
-    """Yield the motions that bring a held source upright over the vessel: up, and across."""
+    """Yield the motions that bring a held source upright over the vessel: up and across, or around what is between."""
+    held = hand.held_object
+    assert held is not None
+    load = AttachedObject(held.thing, held.T_thing_in_pinch)
+
+    def contact_or_tilt(joints: Array) -> str | None:
+        upright = float((hand.pinch_pose(joints) @ held.T_thing_in_pinch)[2, 2])
+        if upright < _UPRIGHT:
+            return f"the tilt of the {held.thing}"
+        return context.find_contact(hand, joints, hand.opening, load)
+
     T, T_over = hand.pinch_pose(hand.joints), hand.pinch_pose(tilt.joints[0])
     T_up = T.copy()
     T_up[2, 3] = max(T[2, 3], T_over[2, 3])
     yield context.make_segment({hand: context.plan_line(hand, T_up, _CARRY_SPEED)}, wait_for_arrival=False)
-    yield context.make_segment({hand: context.plan_line(hand, T_over, _CARRY_SPEED)})
+    try:
+        path = context.plan_line(hand, T_over, _CARRY_SPEED)
+        # The last joints are those that the tilt begins with, without a jump.
+        direct = np.abs(path[-1] - tilt.joints[0]).max() < _SAME_JOINTS and is_collision_free(path, contact_or_tilt)
+    except SkillFailedError:
+        direct = False
+    if not direct:
+        rng = np.random.default_rng(_SEARCH_SEED)
+        around = plan_free_path(hand, tilt.joints[0], contact_or_tilt, context.tick, rng)
+        if around is None:
+            raise SkillFailedError(FailureCause.UNREACHABLE, f"no free way for the {held.thing} to the vessel")
+        path = around
+    yield context.make_segment({hand: path})
 
 
 def _tilt_path(tilt: _Tilt, start: float, end: float) -> Array:
