@@ -141,7 +141,9 @@ def fillings_of(blueprint: SceneBlueprint, locations: Locations) -> dict[str, Fi
         if STRAND_CONDITION in blueprint.conditions:
             length = 10.0 * float(blueprint.conditions[STRAND_CONDITION])
             piece = _with_shape(piece, {**_shape_data(piece), "length_mm": length})
-        found[item.parent] = Filling(of=_thick_enough(piece, item.amount_g), grams=item.amount_g, max_pieces=_MAX_PIECES)
+        found[item.parent] = Filling(
+            of=_thick_enough(piece, item.amount_g), grams=item.amount_g, max_pieces=_MAX_PIECES
+        )
     return found
 
 
@@ -166,7 +168,9 @@ def describe_thicker_pieces(filling: Filling, blueprint: SceneBlueprint, locatio
     if thick <= nominal:
         return ""
     count = piece_count(filling)[0]
-    return f"{filling.of.name}: {filling.grams:.0f} g are {count} pieces {thick:.1f} mm thick instead of {nominal:.1f} mm"
+    return (
+        f"{filling.of.name}: {filling.grams:.0f} g are {count} pieces {thick:.1f} mm thick instead of {nominal:.1f} mm"
+    )
 
 
 def container_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Locations) -> ObjectConfig:

@@ -47,7 +47,9 @@ _ENOUGH_TILT = math.radians(150)  # rad, score of a tilt; no other grasp is trie
 _HEADINGS = tuple(math.radians(turn) for turn in (0, 30, -30, 60, -60, 90, -90))
 _STROKE_VALUE = 2.0  # rad per m: how much tilt the stroke of shaking is worth
 _MAX_JOINT_STEP = 0.6  # rad, of a joint in one step of a tilt; more is another posture
-_LIP_GAP = 0.03  # m, from the vessel's rim up to the source
+# From the vessel's rim up to the source: m at most, and as a share of the vessel's radius. Pieces fall into a narrow cup
+# from a small height only.
+_LIP_GAP, _LIP_GAP_SHARE = 0.03, 0.4
 # Share of the vessel's radius by which the lip stays behind the middle at most. Pieces topple once half of their length
 # is over the lip, so it stays behind by half their length.
 _MAX_LIP_OFFSET = 0.8
@@ -58,6 +60,9 @@ _SLOW_SHARE = 0.05  # of the pieces; if more leave in a step, the source tilts n
 # m, along the source's axis, back and forth in an action each, of a source that tilts no further: friction holds pieces
 # in it. The first that the arm reaches is taken.
 _SHAKES = (0.16, 0.14, 0.12, 0.10, 0.08, 0.06, 0.04, 0.02)
+# m, radius of a narrow vessel, and the stroke over it: longer ones throw pieces beside it
+_NARROW, _NARROW_SHAKE = 0.06, 0.04
+_BACK_STEP = math.radians(1)  # rad, back, while that many pieces leave
 _MAX_WAITS = 20  # steps without a piece that leaves, at the largest tilt
 _CARRY_SPEED = 0.25  # m/s
 _UPRIGHT = math.cos(math.radians(25))  # least cosine of the tilt of a source on its way
@@ -121,16 +126,13 @@ class Pour(Skill):
         yield from _carry(context, hand, tilt)
         yield from self._tilt_until_poured(context, hand, tilt, pieces)
 
-
     def _find_grasp(self, context: PlanningContext, thing: str, vessel: str) -> tuple[Hand, ReachableGrasp]:
         """Return the hand and the grasp with which the source tilts furthest."""
         best: tuple[float, Hand, ReachableGrasp] | None = None
         picker, reasons = Pick(thing=self.thing, lift=_LIFT), dict[str, int]()
         hands = sorted(
             context.free_hands("any"),
-            key=lambda hand: float(
-                np.linalg.norm(context.world.pose(thing)[:2, 3] - hand.arm.T_base_in_world[:2, 3])
-            ),
+            key=lambda hand: float(np.linalg.norm(context.world.pose(thing)[:2, 3] - hand.arm.T_base_in_world[:2, 3])),
         )
         for hand, candidate in itertools.product(hands, list(_grasps(context.object_configs[thing]))):
             found = picker.find_reachable_grasp(context, hand, thing, candidate)
@@ -153,7 +155,6 @@ class Pour(Skill):
     def _tilt_until_poured(
         self, context: PlanningContext, hand: Hand, tilt: _Tilt, pieces: _Pieces
     ) -> Iterator[MotionSegment]:
-        held = context.measure_held_object(hand)
         angle, left, waits = 0.0, pieces.left_share, 0
         largest = float(tilt.angles[-1])
         while pieces.left_share < self.share and waits < _MAX_WAITS:
@@ -165,9 +166,11 @@ class Pour(Skill):
             else:
                 goal = min(angle + (_FAST_STEP if left == 0 else _SLOW_STEP), largest)
             pieces.weigh()
+            if goal == angle and left > before:
+                # A little back, so that the flow ends.
+                goal = max(angle - _BACK_STEP, 0.0)
             if goal == angle:
-                here = tilt.joints_at(angle)
-                back = _shake_back(hand, here, held.T_thing_in_pinch)[0] if angle < largest else tilt.back
+                here, back = tilt.joints_at(angle), tilt.back
                 yield context.make_segment({hand: np.linspace(here, back, _TICKS + 1)}, wait_for_arrival=False)
                 yield context.make_segment({hand: np.linspace(back, here, _TICKS + 1)}, wait_for_arrival=False)
             else:
@@ -314,13 +317,12 @@ def _tilt_towards(
     axis = np.cross([0.0, 0.0, 1.0], towards)
     offset = min(_piece_length(context, thing) / 2, _MAX_LIP_OFFSET * radius)
     behind = _edge_distance(context, vessel, -towards) - offset
+    gap = min(_LIP_GAP, _LIP_GAP_SHARE * radius)
     load = AttachedObject(thing, T_thing_in_pinch)
     T_pinch_in_thing = invert_pose(T_thing_in_pinch)
     angles, rows = [], []
     for angle in np.arange(0.0, _MAX_TILT + 1e-9, _TILT_STEP):
-        height = max(
-            T_vessel[2, 3] + rim + _lip_height(angle, tall, behind), table + _LIP_GAP + tall * math.cos(angle)
-        )
+        height = max(T_vessel[2, 3] + rim + _lip_height(angle, tall, behind, gap), table + gap + tall * math.cos(angle))
         at = T_vessel[:3, 3] - offset * towards
         at[2] = height
         turned = rotation_from_vector(angle * axis) @ R
@@ -334,7 +336,8 @@ def _tilt_towards(
         rows.append(found)
     if not angles or angles[-1] < _MIN_TILT:
         return None
-    back, stroke = _shake_back(hand, rows[-1], T_thing_in_pinch)
+    longest = _NARROW_SHAKE if radius < _NARROW else max(_SHAKES)
+    back, stroke = _shake_back(hand, rows[-1], T_thing_in_pinch, longest)
     return _Tilt(np.array(angles), np.array(rows), back, stroke)
 
 
@@ -349,8 +352,8 @@ def _edge_distance(context: PlanningContext, vessel: str, direction: Array) -> f
     return float((half / np.maximum(along, 1e-9)).min())
 
 
-def _lip_height(angle: float, tall: float, behind: float) -> float:
-    """Return the least height of a tilted source's lip over a vessel's rim, m, at which it keeps `_LIP_GAP` from it.
+def _lip_height(angle: float, tall: float, behind: float, gap: float) -> float:
+    """Return the least height of a tilted source's lip over a vessel's rim, m, at which it keeps `gap` from it, m.
 
     Either the source's bottom is over the rim, or its lower side passes over the rim.
 
@@ -361,15 +364,15 @@ def _lip_height(angle: float, tall: float, behind: float) -> float:
     """
     cos, sin = max(math.cos(angle), 0.0), math.sin(angle)
     if cos == 0.0:
-        return _LIP_GAP
-    return min(tall * cos + _LIP_GAP, (_LIP_GAP + behind * cos) / max(sin, 1e-9))
+        return gap
+    return min(tall * cos + gap, (gap + behind * cos) / max(sin, 1e-9))
 
 
-def _shake_back(hand: Hand, joints: Array, T_thing_in_pinch: Array) -> tuple[Array, float]:
+def _shake_back(hand: Hand, joints: Array, T_thing_in_pinch: Array, longest: float) -> tuple[Array, float]:
     """Return joints (dof,) with which a held source is drawn back along its axis, and how far, m."""
     T = hand.pinch_pose(joints)
     axis = (T @ T_thing_in_pinch)[:3, 2]
-    for stroke in _SHAKES:
+    for stroke in (stroke for stroke in _SHAKES if stroke <= longest):
         found = hand.solve_ik(pose(T[:3, 3] - stroke * axis, T[:3, :3]), (joints,))
         if found is not None and np.abs(found - joints).max() < _MAX_JOINT_STEP:
             return found, stroke
