@@ -31,8 +31,8 @@ SCREW_AHEAD, SCREW_BESIDE = 0.34, 0.20
 #: Position of that origin, m, for snap lids: both hands point down, onto the lid and onto an ear of the container.
 SNAP_AHEAD, SNAP_BESIDE = 0.30, 0.0
 
-#: Position of that origin, m, for pouring: a carton as tall as the parked hands stands between them, and an arm can tilt
-#: it by 135 degrees or more over the vessel. Farther from the arms, it is 120 degrees.
+#: Position of that origin, m, for pouring: a carton higher than the parked hands stands between them, and an arm
+#: can tilt it by 135 degrees or more over the vessel. At x = 0.45 m, this would be 120 degrees.
 POUR_AHEAD, POUR_BESIDE = 0.33, -0.08
 
 _STEP = 0.002  # m, of displacements

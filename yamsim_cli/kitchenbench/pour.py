@@ -47,8 +47,8 @@ _ENOUGH_TILT = math.radians(150)  # rad, score of a tilt; no other grasp is trie
 _HEADINGS = tuple(math.radians(turn) for turn in (0, 30, -30, 60, -60, 90, -90))
 _STROKE_VALUE = 2.0  # rad per m: how much tilt the stroke of shaking is worth
 _MAX_JOINT_STEP = 0.6  # rad, of a joint in one step of a tilt; more is another posture
-# From the vessel's rim up to the source: m at most, and as a share of the vessel's radius. Pieces fall into a narrow cup
-# from a small height only.
+# From the vessel's rim up to the source: m at most, and as a share of the vessel's radius. A narrow cup catches pieces
+# that fall from a small height.
 _LIP_GAP, _LIP_GAP_SHARE = 0.03, 0.4
 # Share of the vessel's radius by which the lip stays behind the middle at most. Pieces topple once half of their length
 # is over the lip, so it stays behind by half their length.
@@ -322,7 +322,7 @@ def _tilt_towards(
     T_pinch_in_thing = invert_pose(T_thing_in_pinch)
     angles, rows = [], []
     for angle in np.arange(0.0, _MAX_TILT + 1e-9, _TILT_STEP):
-        height = max(T_vessel[2, 3] + rim + _lip_height(angle, tall, behind, gap), table + gap + tall * math.cos(angle))
+        height = max(T_vessel[2, 3] + rim + lip_height(angle, tall, behind, gap), table + gap + tall * math.cos(angle))
         at = T_vessel[:3, 3] - offset * towards
         at[2] = height
         turned = rotation_from_vector(angle * axis) @ R
@@ -352,7 +352,7 @@ def _edge_distance(context: PlanningContext, vessel: str, direction: Array) -> f
     return float((half / np.maximum(along, 1e-9)).min())
 
 
-def _lip_height(angle: float, tall: float, behind: float, gap: float) -> float:
+def lip_height(angle: float, tall: float, behind: float, gap: float) -> float:
     """Return the least height of a tilted source's lip over a vessel's rim, m, at which it keeps `gap` from it, m.
 
     Either the source's bottom is over the rim, or its lower side passes over the rim.
