@@ -56,13 +56,15 @@ _MAX_LIP_OFFSET = 0.8
 
 _TICKS = 10  # control ticks of a step: one action of the benchmark
 _FAST_STEP, _SLOW_STEP = math.radians(12), math.radians(4)  # rad, of a step before and after the first piece left
-_SLOW_SHARE = 0.05  # of the pieces; if more leave in a step, the source tilts no further
+_SLOW_SHARE = 0.05  # of the pieces; if more leave in a step, a source over a narrow vessel tilts back
 # m, along the source's axis, back and forth in an action each, of a source that tilts no further: friction holds pieces
 # in it. The first that the arm reaches is taken.
 _SHAKES = (0.16, 0.14, 0.12, 0.10, 0.08, 0.06, 0.04, 0.02)
 # m, radius of a narrow vessel, and the stroke over it: longer ones throw pieces beside it
 _NARROW, _NARROW_SHAKE = 0.06, 0.04
 _BACK_STEP = math.radians(1)  # rad, back, while that many pieces leave
+# After that many shakes without a piece that leaves, the source swings back, in two steps of so many rad, and again.
+_SHAKES_PER_SWING, _SWING_STEP = 3, math.radians(30)
 _MAX_WAITS = 20  # steps without a piece that leaves, at the largest tilt
 _CARRY_SPEED = 0.25  # m/s
 _UPRIGHT = math.cos(math.radians(25))  # least cosine of the tilt of a source on its way
@@ -81,6 +83,7 @@ class _Tilt:
     joints: Array
     back: Array
     stroke: float
+    over_narrow_vessel: bool
 
     @property
     def score(self) -> float:
@@ -159,22 +162,19 @@ class Pour(Skill):
         largest = float(tilt.angles[-1])
         while pieces.left_share < self.share and waits < _MAX_WAITS:
             before, left = left, pieces.left_share
-            waits = waits + 1 if angle == largest and left == before else 0
-            if left > before + _SLOW_SHARE:
-                # Enough pieces leave already.
-                goal = angle
-            else:
-                goal = min(angle + (_FAST_STEP if left == 0 else _SLOW_STEP), largest)
             pieces.weigh()
-            if goal == angle and left > before:
+            goal = min(angle + (_FAST_STEP if left == 0 else _SLOW_STEP), largest)
+            if tilt.over_narrow_vessel and left > before + _SLOW_SHARE:
                 # A little back, so that the flow ends.
                 goal = max(angle - _BACK_STEP, 0.0)
-            if goal == angle:
-                here, back = tilt.joints_at(angle), tilt.back
-                yield context.make_segment({hand: np.linspace(here, back, _TICKS + 1)}, wait_for_arrival=False)
-                yield context.make_segment({hand: np.linspace(back, here, _TICKS + 1)}, wait_for_arrival=False)
-            else:
+            if goal != angle:
+                waits = 0
                 yield context.make_segment({hand: _tilt_path(tilt, angle, goal)}, wait_for_arrival=False)
+            else:
+                waits = waits + 1 if left == before else 0
+                swings = waits % _SHAKES_PER_SWING == 0 and waits > 0 and not tilt.over_narrow_vessel
+                for path in _swing(tilt) if swings else _shake(tilt):
+                    yield context.make_segment({hand: path}, wait_for_arrival=False)
             angle = goal
         while angle > 0:
             goal = max(0.0, angle - 2 * _FAST_STEP)
@@ -336,9 +336,10 @@ def _tilt_towards(
         rows.append(found)
     if not angles or angles[-1] < _MIN_TILT:
         return None
-    longest = _NARROW_SHAKE if radius < _NARROW else max(_SHAKES)
+    narrow = radius < _NARROW
+    longest = _NARROW_SHAKE if narrow else max(_SHAKES)
     back, stroke = _shake_back(hand, rows[-1], T_thing_in_pinch, longest)
-    return _Tilt(np.array(angles), np.array(rows), back, stroke)
+    return _Tilt(np.array(angles), np.array(rows), back, stroke, narrow)
 
 
 def _edge_distance(context: PlanningContext, vessel: str, direction: Array) -> float:
@@ -408,6 +409,19 @@ def _carry(context: PlanningContext, hand: Hand, tilt: _Tilt) -> Iterator[Motion
             raise SkillFailedError(FailureCause.UNREACHABLE, f"no free way for the {held.thing} to the vessel")
         path = around
     yield context.make_segment({hand: path})
+
+
+def _shake(tilt: _Tilt) -> Iterator[Array]:
+    """Yield the motions (n + 1, dof) of a shake along the source's axis, at the largest tilt."""
+    yield np.linspace(tilt.joints[-1], tilt.back, _TICKS + 1)
+    yield np.linspace(tilt.back, tilt.joints[-1], _TICKS + 1)
+
+
+def _swing(tilt: _Tilt) -> Iterator[Array]:
+    """Yield the motions (n + 1, dof) that tilt a source back and again, which loosens pieces that wedge each other."""
+    largest = float(tilt.angles[-1])
+    for start, end in ((0.0, 1.0), (1.0, 2.0), (2.0, 1.0), (1.0, 0.0)):
+        yield _tilt_path(tilt, largest - start * _SWING_STEP, largest - end * _SWING_STEP)
 
 
 def _tilt_path(tilt: _Tilt, start: float, end: float) -> Array:
