@@ -30,7 +30,7 @@ from ..core.expert.skills.planning_context import (
 from ..core.expert.skills.skill import Skill, find_holding_hand
 from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_z
 
-_FORCE = 40.0  # N, of each finger: holds a carton with 500 g by friction, with a margin of ten
+_FORCE = 40.0  # N, of each finger; a carton with 500 g of pasta weighs 5.2 N, and swings between the pads
 _CLEARANCE = 0.006  # m, additional opening of each finger before closing: a carton is 80 mm wide, a hand opens 95 mm
 _GRASP_AZIMUTHS = 24  # directions from which a hand may grasp a round source
 _GRASP_TILTS = (8, 0, 20, 30, 40)  # degrees down from horizontal, of that hand, in the order tried
@@ -97,8 +97,10 @@ class _Tilt:
 class Pour(Skill):
     """Pour the loose pieces in `thing` into another object until the share `share` of them has left.
 
-    A hand grasps the source from the side, carries it over the vessel, and tilts it by steps. It tilts slowly once
-    pieces leave, and waits while pieces leave or fall. Then it tilts the source back, and keeps it in the hand.
+    A hand grasps the source from the side, carries it over the vessel, and tilts it by steps, slowly once pieces leave.
+    Over a narrow vessel, it tilts back a little while many pieces leave. At its largest tilt, it shakes the source
+    along its axis. Then it tilts the source back, and keeps it in the hand. The hand counts the pieces in the source,
+    so pieces that still fall count as poured.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "into")
@@ -177,9 +179,14 @@ class Pour(Skill):
                     yield context.make_segment({hand: path}, wait_for_arrival=False)
             angle = goal
         while angle > 0:
+            pieces.weigh()
             goal = max(0.0, angle - 2 * _FAST_STEP)
             yield context.make_segment({hand: _tilt_path(tilt, angle, goal)}, wait_for_arrival=False)
             angle = goal
+        if pieces.left_share < self.share:
+            raise SkillFailedError(
+                FailureCause.GOAL, f"only {pieces.left_share:.0%} of the pieces left the source, which shakes in vain"
+            )
 
 
 def _piece_bodies(context: PlanningContext, thing: str) -> list[int]:
@@ -248,10 +255,10 @@ def _grasps(source: ObjectConfig) -> Iterator[GraspCandidate]:
     for share, tilt in itertools.product(_GRASP_SHARES, _GRASP_TILTS):
         down = math.radians(tilt)
         if isinstance(shape, VesselShape):
-            height, count = share * shape.height_mm / 1000, _GRASP_AZIMUTHS
+            count = _GRASP_AZIMUTHS
             widths = [shape.diameter_mm / 1000] * count
         elif isinstance(shape, ContainerShape):
-            height, count = share * shape.size_mm[2] / 1000, 4
+            count = 4
             widths = [shape.size_mm[1 - k % 2] / 1000 for k in range(count)]
         else:
             return
@@ -262,7 +269,15 @@ def _grasps(source: ObjectConfig) -> Iterator[GraspCandidate]:
             for side in (1.0, -1.0):
                 closing = side * np.array([-y, x, 0.0])
                 R = np.column_stack([np.cross(closing, forward), closing, forward])
-                yield GraspCandidate(pose((0.0, 0.0, height), R), width / 2, _CLEARANCE, _FORCE)
+                yield GraspCandidate(pose((0.0, 0.0, share * _height(source)), R), width / 2, _CLEARANCE, _FORCE)
+
+
+def _height(source: ObjectConfig) -> float:
+    """Return a source's height, m."""
+    if isinstance(source.shape, ContainerShape):
+        return source.shape.size_mm[2] / 1000
+    assert isinstance(source.shape, VesselShape), "vessels and containers are poured from"
+    return source.shape.height_mm / 1000
 
 
 def _tilt_directions(source: ObjectConfig) -> Iterator[tuple[Array, float, float]]:
@@ -305,9 +320,15 @@ def _tilt_towards(
     lip: float,
     turn: float,
 ) -> _Tilt | None:
-    source, target = context.object_configs[thing], context.object_configs[vessel]
-    assert source.shape is not None and isinstance(target.shape, VesselShape)
-    tall = float(source.shape.size_mm[2] if isinstance(source.shape, ContainerShape) else source.shape.height_mm) / 1000
+    """Return the motion that tilts a held source over a vessel as far as possible; None if that is not far enough.
+
+    Args:
+        joints: of the hand that holds the source upright, rad.
+        direction, lip, turn: as in `_tilt_directions`.
+    """
+    target = context.object_configs[vessel]
+    assert isinstance(target.shape, VesselShape), "only vessels are poured into"
+    tall = _height(context.object_configs[thing])
     radius, rim = target.shape.diameter_mm / 2000, target.shape.height_mm / 1000
     T_vessel, table = context.world.pose(vessel), float(context.world.aabb(TABLE)[1][2])
     R = rotation_z(turn) @ (hand.pinch_pose(joints) @ T_thing_in_pinch)[:3, :3]
@@ -320,7 +341,7 @@ def _tilt_towards(
     gap = min(_LIP_GAP, _LIP_GAP_SHARE * radius)
     load = AttachedObject(thing, T_thing_in_pinch)
     T_pinch_in_thing = invert_pose(T_thing_in_pinch)
-    angles, rows = [], []
+    angles, rows = list[float](), list[Array]()
     for angle in np.arange(0.0, _MAX_TILT + 1e-9, _TILT_STEP):
         height = max(T_vessel[2, 3] + rim + lip_height(angle, tall, behind, gap), table + gap + tall * math.cos(angle))
         at = T_vessel[:3, 3] - offset * towards
@@ -332,7 +353,7 @@ def _tilt_towards(
             break
         if context.find_contact(hand, found, hand.opening, load):
             break
-        angles.append(angle)
+        angles.append(float(angle))
         rows.append(found)
     if not angles or angles[-1] < _MIN_TILT:
         return None
@@ -343,11 +364,7 @@ def _tilt_towards(
 
 
 def _edge_distance(context: PlanningContext, vessel: str, direction: Array) -> float:
-    """Return the distance from a vessel's middle to its edge in a horizontal direction (3,), m, with its handles."""
-    shape = context.object_configs[vessel].shape
-    assert isinstance(shape, VesselShape)
-    if not shape.handles:
-        return shape.diameter_mm / 2000
+    """Return the distance from a vessel's middle to the edge of its bounding box in a horizontal direction (3,), m."""
     half = np.abs(context.world.local_box(vessel)[:, :2]).max(axis=0)
     along = np.abs(context.world.pose(vessel)[:3, :3].T @ direction)[:2]
     return float((half / np.maximum(along, 1e-9)).min())
