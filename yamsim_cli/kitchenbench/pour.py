@@ -115,7 +115,7 @@ class Pour(Skill):
     ) -> Iterator[MotionSegment]:
         """Do nothing if enough has left already; see `Skill.run`."""
         thing, vessel = roles.object_of(self.thing), roles.object_of(self.into)
-        pieces = _Pieces(context, thing, vessel)
+        pieces = _Pieces(context, thing)
         if pieces.left_share >= self.share:
             return
         hand = find_holding_hand(context, thing)
@@ -201,10 +201,10 @@ def _piece_length(context: PlanningContext, thing: str) -> float:
 
 
 class _Pieces:
-    """The loose pieces of a filled object, and where they are now."""
+    """The loose pieces of a filled object, and how many of them are in it now."""
 
-    def __init__(self, context: PlanningContext, thing: str, vessel: str) -> None:
-        self._context, self._world, self._thing, self._vessel = context, context.world, thing, vessel
+    def __init__(self, context: PlanningContext, thing: str) -> None:
+        self._context, self._world, self._thing = context, context.world, thing
         self._empty = context.object_configs[thing]
         self._bodies = _piece_bodies(context, thing)
 
@@ -226,16 +226,8 @@ class _Pieces:
     @property
     def left_share(self) -> float:
         """Share of the pieces that are not in the source any more."""
-        return 1.0 - self._share_in(self._thing)
-
-    @property
-    def arrived_share(self) -> float:
-        """Share of the pieces that are in the vessel."""
-        return self._share_in(self._vessel)
-
-    def _share_in(self, container: str) -> float:
         points = self._world.data.xipos[self._bodies]
-        return float(self._world.points_inside(container, points).mean())
+        return 1.0 - float(self._world.points_inside(self._thing, points).mean())
 
 
 def _raise_touching_hands(context: PlanningContext) -> Iterator[MotionSegment]:
