@@ -58,9 +58,15 @@ def stacked_poses(task: ProgramTask, name: str) -> Array:
     start, end, radius = _axis_of(pieces[0], task)
     length = float(np.linalg.norm(end - start)) + 2 * radius
     room = _room_in(vessel, task)
-    layouts = [list(itertools.islice(_places(room, axis, length, radius), len(pieces))) for axis in range(3)]
-    held = max(layouts, key=len)
-    if len(held) < len(pieces):
+    # An even number of rows is only tried where an odd number does not hold all pieces.
+    for shifted in (False, True):
+        layouts = [
+            list(itertools.islice(_places(room, axis, length, radius, shifted), len(pieces))) for axis in range(3)
+        ]
+        held = max(layouts, key=len)
+        if len(held) == len(pieces):
+            break
+    else:
         grams = 1000 * pieces[0].inertia.mass * len(held)
         raise UsageError(
             f"task {task.name!r}: the {name} holds about {grams:.0f} g of {len(pieces) * pieces[0].inertia.mass_g:.0f} "
@@ -148,11 +154,12 @@ def _room_in(vessel: ObjectConfig, task: ProgramTask) -> _Room:
     return _Room(wall_points[:, 1], np.repeat(wall_points[:, :1], 2, axis=1), True)
 
 
-def _places(room: _Room, axis: int, length: float, radius: float) -> Iterator[Array]:
+def _places(room: _Room, axis: int, length: float, radius: float, shifted: bool) -> Iterator[Array]:
     """Yield the middles (3,) of pieces parallel to `axis`, layer by layer, as long as the middles are below the rim.
 
     Args:
         length, radius: of a piece with its round ends, m.
+        shifted: whether all rows are half a spacing beside the middle.
     """
     tall, step = (length, length + _GAP) if axis == 2 else (2 * radius, _LAYER_HEIGHT * radius)
     low = float(room.heights[0]) + _GAP
@@ -165,7 +172,7 @@ def _places(room: _Room, axis: int, length: float, radius: float) -> Iterator[Ar
         cell = _SPACING * radius if axis == 2 else length + _GAP
         step_across = _SPACING * radius
         # Vertical pieces stand on the layer below, so their rows are not offset.
-        offset = step_across / 2 if axis != 2 and layer % 2 else 0.0
+        offset = step_across / 2 if (axis != 2 and layer % 2) != shifted else 0.0
         reach = int((across - radius) / step_across + 1.5) if across > radius else 0
         for side in np.arange(-reach, reach + 1) * step_across + offset:
             if abs(side) > across - radius:

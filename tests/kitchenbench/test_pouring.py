@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import mujoco
@@ -15,11 +16,13 @@ from inspect_robots.rollout import derive_seed
 from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint
 
+from yamsim_cli.core.config.objects.primitives import Capsule
 from yamsim_cli.core.config.program_task import Role
-from yamsim_cli.kitchenbench.asset_configs import fillings_of, pouring_config_of
+from yamsim_cli.kitchenbench.asset_configs import describe_thicker_pieces, fillings_of, pouring_config_of
 from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene, open_station_session
+from yamsim_cli.kitchenbench.policy import PlanningScene
+from yamsim_cli.kitchenbench.pour import Pour, lip_height
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
-from yamsim_cli.kitchenbench.skill_programs import build_scene_program
 from yamsim_cli.kitchenbench.success_judges import KitchenJudge
 from yamsim_cli.loose_pieces import loose_pieces, piece_count, stacked_poses
 
@@ -54,9 +57,44 @@ def test_every_source_holds_its_pasta(name: str, base: Any) -> None:
             assert 100 * length == pytest.approx(blueprint.conditions["strand_length_cm"])
 
 
-def test_no_expert_pours() -> None:
-    with pytest.raises(LookupError, match="no expert for goals of kind 'pour_into'"):
-        build_scene_program(blueprint_of(CUP), {}, [])
+def test_pieces_get_thicker_and_not_longer_where_they_would_be_too_many(base: Any) -> None:
+    """A piece longer than 60 mm would wedge itself between the narrow walls of a carton."""
+    filling = fillings_of(blueprint_of("pour-pasta-full-box"), base.locations)["source"]
+    (part,) = filling.of.collision
+    assert isinstance(part, Capsule)
+    assert np.linalg.norm(np.subtract(part.end, part.start)) + 2 * part.radius == pytest.approx(0.05, abs=1e-4)
+    assert part.radius > 0.006
+    assert piece_count(filling) == (44, pytest.approx(1.0, abs=0.01))
+    line = describe_thicker_pieces(filling, blueprint_of("pour-pasta-full-box"), base.locations)
+    assert line.startswith("dry_pasta: 427 g are 44 pieces 13.") and line.endswith("thick instead of 8.0 mm")
+    thin = blueprint_of(CUP)
+    assert describe_thicker_pieces(fillings_of(thin, base.locations)["source"], thin, base.locations) == ""
+
+
+@pytest.mark.parametrize("angle", [0.0, 15.0, 40.0, 75.0, 90.0, 120.0])
+def test_the_lip_is_just_so_high_that_the_source_clears_the_rim(angle: float) -> None:
+    tilt, tall, behind, gap = math.radians(angle), 0.26, 0.08, 0.02
+    height = lip_height(tilt, tall, behind, gap)
+    assert height <= tall * max(math.cos(tilt), 0.0) + gap + 1e-9
+    # The source's lower side, from the lip down to its bottom; the wall of the vessel stands below (behind, 0).
+    along = np.linspace(0.0, tall, 2001)
+    back, up = along * math.sin(tilt), height - along * math.cos(tilt)
+    distances = np.hypot(back - behind, np.maximum(up, 0.0))
+    assert distances.min() >= gap - 1e-4
+
+
+def test_loose_pieces_may_roll_while_a_scene_is_at_rest(base: Any) -> None:
+    realized = build_benchmark_scene(blueprint_of(CUP, 4), base)
+    try:
+        scene, motion = realized.simulator.scene, SceneStepper(realized, 10)
+        assert motion.is_at_rest()
+        rolling = scene.model.jnt_dofadr[scene.pieces["source"][0]]
+        motion.data.qvel[rolling] = 1.0
+        assert motion.is_at_rest()
+        motion.data.qvel[scene.object_dof["source"]] = 1.0
+        assert not motion.is_at_rest()
+    finally:
+        realized.simulator.close()
 
 
 @pytest.mark.slow
@@ -86,3 +124,30 @@ def test_pasta_counts_by_piece_where_it_is(name: str, base: Any) -> None:
             mass("pasta", "saucer")
     finally:
         realized.simulator.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "epoch", "share"),
+    [(STRANDS, 0, 1.0), ("pour-pasta-measuring-cup-to-bowl", 2, 1.0), ("pour-pasta-measuring-cup-to-bowl", 2, 0.4)],
+)
+def test_the_expert_pours_the_share_that_is_asked_for(name: str, epoch: int, share: float, base: Any) -> None:
+    blueprint = blueprint_of(name, epoch)
+    source, vessel, total = "source", blueprint.roles["vessel"][0], blueprint.success_params["total_g"]
+    realized = build_benchmark_scene(blueprint, base)
+    planning = PlanningScene(realized, int(derive_seed(0, SCENES[name].init_seed, epoch)), 10)
+    try:
+        judge = KitchenJudge(realized, planning.motion)
+        planning.start_program([Pour(thing=source, into=vessel, share=share)], realized.simulator.roles)
+        actions = 0
+        while actions < 100 and not judge.evaluate()[0]:
+            actions += len(planning.next_actions())
+        mass = judge.world.contained_mass_g
+        left = 1 - mass("pasta", source) / total
+        assert judge.evaluate()[0] == (share == 1.0)
+        # Pieces that leave in the last step come on top.
+        assert share == 1.0 or share <= left <= share + 0.25
+        assert mass("pasta", vessel) >= 0.8 * min(share, left) * total
+        assert judge.world.scene.holding_sides(source)
+    finally:
+        planning.close()

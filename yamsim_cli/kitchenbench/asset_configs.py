@@ -21,6 +21,7 @@ from ..core.files.resources import Locations
 from ..core.geometry.se3 import Array
 from ..core.scene.compiled import CompiledScene
 from ..core.sim.cloth import crumple_cloth
+from ..loose_pieces import piece_count
 from .lids import LID_CONFIGS, OPEN, container_with_ears, lid_between_ears, lidded_container
 
 # Asset -> object config. Compartments are parts of the tray. `CLOTH_CONFIGS` has cloth, and `_PIECE_CONFIGS` pasta.
@@ -45,6 +46,7 @@ POUR = "pour_into"
 STRAND_CONDITION = "strand_length_cm"
 # Asset of a substance -> object config of one piece.
 _PIECE_CONFIGS = {"dry_pasta": "kitchen_dry_pasta"}
+_DIAMETER_DIGITS = 3  # decimals of a thicker piece's diameter in mm
 # Largest number of pieces: a second of physics takes 4 to 5 s of a core with 60, and 3 to 4 s with 44. With 40, not
 # every source holds its pasta.
 _MAX_PIECES = 44
@@ -139,8 +141,36 @@ def fillings_of(blueprint: SceneBlueprint, locations: Locations) -> dict[str, Fi
         if STRAND_CONDITION in blueprint.conditions:
             length = 10.0 * float(blueprint.conditions[STRAND_CONDITION])
             piece = _with_shape(piece, {**_shape_data(piece), "length_mm": length})
-        found[item.parent] = Filling(of=piece, grams=item.amount_g, max_pieces=_MAX_PIECES)
+        found[item.parent] = Filling(
+            of=_thick_enough(piece, item.amount_g), grams=item.amount_g, max_pieces=_MAX_PIECES
+        )
     return found
+
+
+def _thick_enough(piece: ObjectConfig, grams: float) -> ObjectConfig:
+    """Return a piece so thick that `_MAX_PIECES` weigh `grams`, if thinner ones would be too many.
+
+    Longer pieces would wedge themselves between the walls of a carton: one of 70 mm in a carton 77 mm wide can lean by
+    26 degrees at most, and friction holds up to 39 degrees.
+    """
+    factor = math.sqrt(grams / (_MAX_PIECES * piece.inertia.mass_g))
+    if factor <= 1.0:
+        return piece
+    data = _shape_data(piece)
+    return _with_shape(piece, {**data, "diameter_mm": round(factor * data["diameter_mm"], _DIAMETER_DIGITS)})
+
+
+def describe_thicker_pieces(filling: Filling, blueprint: SceneBlueprint, locations: Locations) -> str:
+    """Return how much thicker a substance's pieces are than those of its asset, as a sentence; "" if they are not."""
+    (asset,) = {item.asset for item in blueprint.objects if item.asset in _PIECE_CONFIGS}
+    nominal = _shape_data(load_config(ObjectConfig, "objects", _PIECE_CONFIGS[asset], locations))["diameter_mm"]
+    thick = _shape_data(filling.of)["diameter_mm"]
+    if thick <= nominal:
+        return ""
+    count = piece_count(filling)[0]
+    return (
+        f"{filling.of.name}: {filling.grams:.0f} g are {count} pieces {thick:.1f} mm thick instead of {nominal:.1f} mm"
+    )
 
 
 def container_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Locations) -> ObjectConfig:

@@ -27,7 +27,6 @@ from ..core.geometry.se3 import Array, pose, rotation_z
 from ..core.scene.compiled import CompiledScene
 from ..core.sim.settling import settle_objects
 from ..core.sim.sim_world import ContainerRegion, SimWorld
-from ..loose_pieces import piece_count
 from ..session_opener import SessionOpener, parse_size
 from .asset_configs import (
     CLOTH_CONFIGS,
@@ -39,6 +38,7 @@ from .asset_configs import (
     cloth_config_of,
     container_config_of,
     crumpled_start,
+    describe_thicker_pieces,
     fillings_of,
     is_body,
     object_config_of,
@@ -180,7 +180,8 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
         name: round(1000 * float(np.linalg.norm(_horizontal_position(simulator.scene, start, name) - T[:2, 3])), 2)
         for name, T in wanted.items()
     }
-    unrealized = (*_unrealized_conditions(blueprint, offsets), *map(_coarser_pieces, fillings.values()))
+    thicker = [describe_thicker_pieces(filling, blueprint, base.locations) for filling in fillings.values()]
+    unrealized = (*_unrealized_conditions(blueprint, offsets), *thicker)
     return BenchmarkScene(
         blueprint, simulator, start, _container_regions(blueprint), offsets, tuple(filter(None, unrealized))
     )
@@ -296,12 +297,3 @@ def _unrealized_conditions(blueprint: SceneBlueprint, offsets: Mapping[str, floa
         if (off := offsets.get(item.name, 0.0)) > _MAX_OFFSET_MM:
             lines.append(f"{item.name}: came to rest {off:.0f} mm from its requested place")
     return tuple(lines)
-
-
-def _coarser_pieces(filling: Filling) -> str:
-    """Return in which way a substance's pieces are larger than those of its asset, as a sentence; else ""."""
-    count, factor = piece_count(filling)
-    if factor == 1.0:
-        return ""
-    size = f"{filling.grams / count:.1f} g instead of {filling.of.inertia.mass_g:.1f} g"
-    return f"{filling.of.name}: {filling.grams:.0f} g are {count} pieces of {size}"

@@ -31,6 +31,10 @@ SCREW_AHEAD, SCREW_BESIDE = 0.34, 0.20
 #: Position of that origin, m, for snap lids: both hands point down, onto the lid and onto an ear of the container.
 SNAP_AHEAD, SNAP_BESIDE = 0.30, 0.0
 
+#: Position of that origin, m, for pouring: a carton higher than the parked hands stands between them, and an arm
+#: can tilt it by 135 degrees or more over the vessel. At x = 0.45 m, this would be 120 degrees.
+POUR_AHEAD, POUR_BESIDE = 0.33, -0.08
+
 _STEP = 0.002  # m, of displacements
 _RACK_GAP = 0.005  # m, between a rack and a displaced object
 _BESIDE_GAP = 0.03  # m, between a container and its lid beside it, and between a vessel and the source beside it
@@ -46,6 +50,8 @@ def origin_in_world(blueprint: SceneBlueprint) -> tuple[float, float]:
     if blueprint.target_kind == OPEN:
         snaps = any(item.asset == SNAP_ASSET for item in blueprint.objects)
         return (SNAP_AHEAD, SNAP_BESIDE) if snaps else (SCREW_AHEAD, SCREW_BESIDE)
+    if blueprint.target_kind == POUR:
+        return (POUR_AHEAD, POUR_BESIDE)
     return (LID_AHEAD, LID_BESIDE) if blueprint.target_kind == SEAL else (AHEAD, BESIDE)
 
 

@@ -50,9 +50,12 @@ class SceneStepper:
         self._scene, self._ticks, self._tick = simulator.scene, ticks, simulator.config.task.timing.tick_seconds
         self.episode = realization.new_episode()
         self.data = self.episode.data
-        # Cloth sways long after all other objects are at rest.
-        cloth = [one.dof.ravel() for one in self._scene.cloths.values()]
-        self._rigid_dofs = np.setdiff1d(np.arange(self._scene.model.nv), np.concatenate([[], *cloth]).astype(int))
+        # Cloth sways, and loose pieces roll, long after all other objects are at rest.
+        model = self._scene.model
+        moving = [one.dof.ravel() for one in self._scene.cloths.values()]
+        for joints in self._scene.pieces.values():
+            moving += [np.arange(dof, dof + 6) for dof in model.jnt_dofadr[list(joints)]]
+        self._rigid_dofs = np.setdiff1d(np.arange(model.nv), np.concatenate([[], *moving]).astype(int))
         self._reference = self.measured_state()
         self._max_changes = np.concatenate(
             [[*(arm.motor_speed * self._tick), self._tick / MIN_CLOSING_S] for arm in self._scene.arms]
@@ -72,7 +75,7 @@ class SceneStepper:
         return self._reference.copy()
 
     def is_at_rest(self) -> bool:
-        """Whether arms, fingers and rigid objects are almost still."""
+        """Whether arms, fingers and rigid objects are almost still; cloth and loose pieces may move."""
         fingers = max(float(np.abs(self.data.qvel[fingers.dof]).max()) for fingers in scene_fingers(self._scene.arms))
         return float(np.abs(self.data.qvel[self._rigid_dofs]).max()) <= _REST_SPEED and fingers <= _FINGER_REST_SPEED
 

@@ -14,11 +14,12 @@ from ..core.expert.skills.pick import Pick
 from ..core.expert.skills.place import Place
 from ..core.expert.skills.skill import Skill
 from ..core.geometry.se3 import Array
-from .asset_configs import CRUMPLE_CONDITION, is_folded_in_thirds
+from .asset_configs import CRUMPLE_CONDITION, POUR, is_folded_in_thirds
 from .fold_small import FoldSmall, required_area
 from .lids import OPEN, SEAL
 from .object_poses import T_in_world
 from .open_lid import OpenLid
+from .pour import Pour
 from .sorting import Sort
 
 _RACK_BOW_CLEARANCE = 0.008  # m, between a dish and the bow at an end of the rack
@@ -55,6 +56,8 @@ def build_scene_program(
             return _fold_program(blueprint, items, roles["cloth"][0])
         case kind if kind == OPEN:
             return [OpenLid(thing=roles["container"][0])]
+        case kind if kind == POUR:
+            return [Pour(thing=roles["source"][0], into=roles["vessel"][0])]
         case kind if kind == SEAL:
             return _pick_and_place(roles["lid"][0], Place(thing=roles["lid"][0], on=roles["container"][0]))
     raise LookupError(f"scene {blueprint.scene_id!r}: no expert for goals of kind {blueprint.target_kind!r}")
