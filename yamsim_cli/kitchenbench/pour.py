@@ -6,10 +6,9 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from pydantic import Field, FiniteFloat
 
 from ..core.attempt_data import FailureCause
 from ..core.config.goals.role_assignment import RoleAssignment
@@ -95,12 +94,13 @@ class _Tilt:
 
 
 class Pour(Skill):
-    """Pour the loose pieces in `thing` into another object until the share `share` of them has left.
+    """Pour the loose pieces in `thing` into another object until all of them have left.
 
     A hand grasps the source from the side, carries it over the vessel, and tilts it by steps, slowly once pieces leave.
     Over a narrow vessel, it tilts back a little while many pieces leave. At its largest tilt, it shakes the source
     along its axis. Then it tilts the source back, and keeps it in the hand. The hand counts the pieces in the source,
-    so pieces that still fall count as poured.
+    so pieces that still fall count as poured. A part of the content cannot be
+    asked for: pieces slide out together, up to three quarters of them in one action.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "into")
@@ -108,15 +108,14 @@ class Pour(Skill):
     LEAVES_OBJECT_HELD: ClassVar[bool | None] = True
     thing: str
     into: str
-    share: Annotated[FiniteFloat, Field(gt=0, le=1)] = 1.0
 
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Do nothing if enough has left already; see `Skill.run`."""
+        """Do nothing if the source is empty already; see `Skill.run`."""
         thing, vessel = roles.object_of(self.thing), roles.object_of(self.into)
         pieces = _Pieces(context, thing)
-        if pieces.left_share >= self.share:
+        if pieces.left_share == 1.0:
             return
         hand = find_holding_hand(context, thing)
         if hand is None:
@@ -162,7 +161,7 @@ class Pour(Skill):
     ) -> Iterator[MotionSegment]:
         angle, left, waits = 0.0, pieces.left_share, 0
         largest = float(tilt.angles[-1])
-        while pieces.left_share < self.share and waits < _MAX_WAITS:
+        while pieces.left_share < 1.0 and waits < _MAX_WAITS:
             before, left = left, pieces.left_share
             pieces.weigh()
             goal = min(angle + (_FAST_STEP if left == 0 else _SLOW_STEP), largest)
@@ -183,7 +182,7 @@ class Pour(Skill):
             goal = max(0.0, angle - 2 * _FAST_STEP)
             yield context.make_segment({hand: _tilt_path(tilt, angle, goal)}, wait_for_arrival=False)
             angle = goal
-        if pieces.left_share < self.share:
+        if pieces.left_share < 1.0:
             raise SkillFailedError(
                 FailureCause.GOAL, f"only {pieces.left_share:.0%} of the pieces left the source, which shakes in vain"
             )
