@@ -58,12 +58,13 @@ def stacked_poses(task: ProgramTask, name: str) -> Array:
     start, end, radius = _axis_of(pieces[0], task)
     length = float(np.linalg.norm(end - start)) + 2 * radius
     room = _room_in(vessel, task)
-    # An even number of rows is only tried where an odd number does not hold all pieces.
+    # First with rows in the middle, as in earlier recordings. Only if these do not hold all pieces, beside the middle.
+    held: list[Array] = []
     for shifted in (False, True):
         layouts = [
             list(itertools.islice(_places(room, axis, length, radius, shifted), len(pieces))) for axis in range(3)
         ]
-        held = max(layouts, key=len)
+        held = max((held, *layouts), key=len)
         if len(held) == len(pieces):
             break
     else:
@@ -159,7 +160,8 @@ def _places(room: _Room, axis: int, length: float, radius: float, shifted: bool)
 
     Args:
         length, radius: of a piece with its round ends, m.
-        shifted: whether all rows are half a spacing beside the middle.
+        shifted: whether the first layer's rows, instead of the second's, are half a spacing beside the middle; of
+            vertical pieces, those of every layer.
     """
     tall, step = (length, length + _GAP) if axis == 2 else (2 * radius, _LAYER_HEIGHT * radius)
     low = float(room.heights[0]) + _GAP

@@ -58,7 +58,7 @@ def test_every_source_holds_its_pasta(name: str, base: Any) -> None:
 
 
 def test_pieces_get_thicker_and_not_longer_where_they_would_be_too_many(base: Any) -> None:
-    """A piece longer than 60 mm would wedge itself between the narrow walls of a carton."""
+    """Longer pieces would wedge themselves between the near walls of a carton."""
     filling = fillings_of(blueprint_of("pour-pasta-full-box"), base.locations)["source"]
     (part,) = filling.of.collision
     assert isinstance(part, Capsule)

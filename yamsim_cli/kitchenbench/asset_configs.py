@@ -150,8 +150,8 @@ def fillings_of(blueprint: SceneBlueprint, locations: Locations) -> dict[str, Fi
 def _thick_enough(piece: ObjectConfig, grams: float) -> ObjectConfig:
     """Return a piece so thick that `_MAX_PIECES` weigh `grams`, if thinner ones would be too many.
 
-    Longer pieces would wedge themselves between the walls of a carton: one of 70 mm in a carton 77 mm wide can lean by
-    26 degrees at most, and friction holds up to 39 degrees.
+    Longer pieces would wedge themselves between the walls of a carton, which are 37 mm apart: one of 70 mm can lean by
+    26 degrees at most there, and friction (0.8) holds a piece that leans by less than 39 degrees.
     """
     factor = math.sqrt(grams / (_MAX_PIECES * piece.inertia.mass_g))
     if factor <= 1.0:

@@ -41,7 +41,7 @@ _TILT_AZIMUTHS = 16  # directions in which a round source may tilt
 _TILT_STEP = math.radians(5)  # rad, between the angles of a tilt at which contacts are checked
 _MAX_TILT = math.radians(145)  # rad; a source that tilts further is empty already
 _MIN_TILT = math.radians(95)  # rad, least tilt that a grasp has to allow
-_ENOUGH_TILT = math.radians(150)  # rad, score of a tilt; no other grasp is tried once one has that
+_ENOUGH_TILT = math.radians(145)  # rad, score of a tilt; no other grasp is tried once one has that
 # rad, by which the source turns about the vertical on its way to the vessel
 _HEADINGS = tuple(math.radians(turn) for turn in (0, 30, -30, 60, -60, 90, -90))
 _STROKE_VALUE = 2.0  # rad per m: how much tilt the stroke of shaking is worth
@@ -55,16 +55,18 @@ _MAX_LIP_OFFSET = 0.8
 
 _TICKS = 10  # control ticks of a step: one action of the benchmark
 _FAST_STEP, _SLOW_STEP = math.radians(12), math.radians(4)  # rad, of a step before and after the first piece left
-_SLOW_SHARE = 0.05  # of the pieces; if more leave in a step, a source over a narrow vessel tilts back
-# m, along the source's axis, back and forth in an action each, of a source that tilts no further: friction holds pieces
-# in it. The first that the arm reaches is taken.
+_MAX_FLOW = (
+    0.05  # share of the pieces that may leave in a step over a narrow vessel; if more leave, the source tilts back
+)
+_BACK_STEP = math.radians(1)  # rad, by which it tilts back in a step
+# m, strokes of a shake along the source's axis, in the order tried. At the largest tilt, friction holds pieces, and a
+# shake of two actions loosens them.
 _SHAKES = (0.16, 0.14, 0.12, 0.10, 0.08, 0.06, 0.04, 0.02)
 # m, radius of a narrow vessel, and the stroke over it: longer ones throw pieces beside it
 _NARROW, _NARROW_SHAKE = 0.06, 0.04
-_BACK_STEP = math.radians(1)  # rad, back, while that many pieces leave
-# After that many shakes without a piece that leaves, the source swings back, in two steps of so many rad, and again.
-_SHAKES_PER_SWING, _SWING_STEP = 3, math.radians(30)
-_MAX_WAITS = 20  # steps without a piece that leaves, at the largest tilt
+# Every third try that moves no piece is a swing instead of a shake; rad, of each of its two steps back.
+_TRIES_PER_SWING, _SWING_STEP = 3, math.radians(30)
+_MAX_TRIES = 20  # shakes and swings in a row that move no piece out, after which the expert gives up
 _CARRY_SPEED = 0.25  # m/s
 _UPRIGHT = math.cos(math.radians(25))  # least cosine of the tilt of a source on its way
 _SAME_JOINTS = 0.05  # rad, between joints that count as the same posture
@@ -90,6 +92,7 @@ class _Tilt:
         return float(self.angles[-1]) + _STROKE_VALUE * self.stroke
 
     def joints_at(self, angle: float) -> Array:
+        """Return the joints (dof,) at an angle, rad."""
         return np.array([np.interp(angle, self.angles, row) for row in self.joints.T])
 
 
@@ -98,9 +101,10 @@ class Pour(Skill):
 
     A hand grasps the source from the side, carries it over the vessel, and tilts it by steps, slowly once pieces leave.
     Over a narrow vessel, it tilts back a little while many pieces leave. At its largest tilt, it shakes the source
-    along its axis. Then it tilts the source back, and keeps it in the hand. The hand counts the pieces in the source,
-    so pieces that still fall count as poured. A part of the content cannot be
-    asked for: pieces slide out together, up to three quarters of them in one action.
+    along its axis. Then it tilts the source back, and keeps it in the hand.
+
+    The skill counts the pieces in the source, so a piece that still falls counts as poured. It cannot pour a part of
+    the content: pieces slide out together, up to three quarters of them in one action.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "into")
@@ -114,9 +118,18 @@ class Pour(Skill):
     ) -> Iterator[MotionSegment]:
         """Do nothing if the source is empty already; see `Skill.run`."""
         thing, vessel = roles.object_of(self.thing), roles.object_of(self.into)
+        _require_shapes(context, thing, vessel)
         pieces = _Pieces(context, thing)
         if pieces.left_share == 1.0:
             return
+        configs = context.object_configs
+        try:
+            yield from self._pour(context, thing, vessel, pieces)
+        finally:
+            # `_Pieces.weigh` has changed them.
+            context.object_configs = configs
+
+    def _pour(self, context: PlanningContext, thing: str, vessel: str, pieces: _Pieces) -> Iterator[MotionSegment]:
         hand = find_holding_hand(context, thing)
         if hand is None:
             yield from _raise_touching_hands(context)
@@ -124,7 +137,7 @@ class Pour(Skill):
             hand, grasp = self._find_grasp(context, thing, vessel)
             yield from Pick(thing=self.thing, lift=_LIFT).grasp_and_lift(context, hand, thing, grasp)
         held = context.measure_held_object(hand)
-        tilt = _longest_tilt(context, hand, thing, vessel, held.T_thing_in_pinch, hand.joints)
+        tilt = _longest_tilt(context, hand, thing, vessel, held.T_thing_in_pinch, hand.joints, hand.opening)
         if tilt is None:
             raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to tilt the {thing} over the {vessel}")
         yield from _carry(context, hand, tilt)
@@ -144,48 +157,69 @@ class Pour(Skill):
                 if found is not None:
                     reasons[found] = reasons.get(found, 0) + 1
                 continue
-            tilt = _longest_tilt(
-                context, hand, thing, vessel, invert_pose(candidate.T_pinch_in_thing), found.grasp_joints
-            )
-            if tilt is not None and (best is None or tilt.score > best[0]):
+            T_thing_in_pinch, opening = invert_pose(candidate.T_pinch_in_thing), candidate.opening
+            tilt = _longest_tilt(context, hand, thing, vessel, T_thing_in_pinch, found.grasp_joints, opening)
+            if tilt is None:
+                why = f"the {hand.side} arm cannot tilt it over the {vessel} with this grasp"
+                reasons[why] = reasons.get(why, 0) + 1
+            elif best is None or tilt.score > best[0]:
                 best = (tilt.score, hand, found)
                 if best[0] >= _ENOUGH_TILT:
                     break
         if best is None:
             summary = "; ".join(f"{why} ({n})" for why, n in sorted(reasons.items(), key=lambda item: -item[1])[:3])
-            raise SkillFailedError(FailureCause.UNREACHABLE, f"no grasp to pour from the {thing}: {summary}")
+            raise SkillFailedError(
+                FailureCause.UNREACHABLE, f"no grasp to pour from the {thing}: {summary or 'no hand is free'}"
+            )
         return best[1], best[2]
 
     def _tilt_until_poured(
         self, context: PlanningContext, hand: Hand, tilt: _Tilt, pieces: _Pieces
     ) -> Iterator[MotionSegment]:
-        angle, left, waits = 0.0, pieces.left_share, 0
+        """Yield the motions that tilt the source until it is empty, shake it at the largest angle, and tilt it back.
+
+        Raise SkillFailedError if pieces stay in it, or if it falls out of the hand.
+        """
+        angle, left, most, tries = 0.0, pieces.left_share, 0.0, 0
         largest = float(tilt.angles[-1])
-        while pieces.left_share < 1.0 and waits < _MAX_WAITS:
-            before, left = left, pieces.left_share
+        while left < 1.0 and tries < _MAX_TRIES:
+            before = left
             pieces.weigh()
             goal = min(angle + (_FAST_STEP if left == 0 else _SLOW_STEP), largest)
-            if tilt.over_narrow_vessel and left > before + _SLOW_SHARE:
+            if tilt.over_narrow_vessel and left > most + _MAX_FLOW:
                 # A little back, so that the flow ends.
                 goal = max(angle - _BACK_STEP, 0.0)
-            if goal != angle:
-                waits = 0
+            most = max(most, before)
+            if angle < largest or goal < largest:
                 yield context.make_segment({hand: _tilt_path(tilt, angle, goal)}, wait_for_arrival=False)
             else:
-                waits = waits + 1 if left == before else 0
-                swings = waits % _SHAKES_PER_SWING == 0 and waits > 0 and not tilt.over_narrow_vessel
-                for path in _swing(tilt) if swings else _shake(tilt):
+                is_swing = tries % _TRIES_PER_SWING == _TRIES_PER_SWING - 1 and not tilt.over_narrow_vessel
+                for path in _swing(tilt) if is_swing else _shake(tilt):
                     yield context.make_segment({hand: path}, wait_for_arrival=False)
-            angle = goal
+            angle, left = goal, pieces.left_share
+            # A piece that goes in and out of the mouth counts once.
+            tries = tries + 1 if left <= most and angle == largest else 0
+        context.measure_held_object(hand)
         while angle > 0:
             pieces.weigh()
             goal = max(0.0, angle - 2 * _FAST_STEP)
             yield context.make_segment({hand: _tilt_path(tilt, angle, goal)}, wait_for_arrival=False)
             angle = goal
-        if pieces.left_share < 1.0:
+        if tries == _MAX_TRIES:
             raise SkillFailedError(
-                FailureCause.GOAL, f"only {pieces.left_share:.0%} of the pieces left the source, which shakes in vain"
+                FailureCause.GOAL,
+                f"only {most:.0%} of the pieces left the source: {_MAX_TRIES} shakes in a row moved none",
             )
+
+
+def _require_shapes(context: PlanningContext, thing: str, vessel: str) -> None:
+    """Raise SkillFailedError unless the source is round or a container, and the vessel is round."""
+    for name, shapes, use in (
+        (thing, (VesselShape, ContainerShape), "poured from"),
+        (vessel, (VesselShape,), "poured into"),
+    ):
+        if not isinstance(context.object_configs[name].shape, shapes):
+            raise SkillFailedError(FailureCause.UNREACHABLE, f"the {name} has no shape that can be {use}")
 
 
 def _piece_bodies(context: PlanningContext, thing: str) -> list[int]:
@@ -206,6 +240,8 @@ class _Pieces:
         self._context, self._world, self._thing = context, context.world, thing
         self._empty = context.object_configs[thing]
         self._bodies = _piece_bodies(context, thing)
+        if not self._bodies:
+            raise SkillFailedError(FailureCause.UNREACHABLE, f"the {thing} has no loose pieces to pour")
 
     def weigh(self) -> None:
         """Let the planning context know the mass and the centre of mass of the source with the pieces in it now."""
@@ -289,12 +325,18 @@ def _tilt_directions(source: ObjectConfig) -> Iterator[tuple[Array, float, float
 
 
 def _longest_tilt(
-    context: PlanningContext, hand: Hand, thing: str, vessel: str, T_thing_in_pinch: Array, joints: Array
+    context: PlanningContext,
+    hand: Hand,
+    thing: str,
+    vessel: str,
+    T_thing_in_pinch: Array,
+    joints: Array,
+    opening: float,
 ) -> _Tilt | None:
     """Return the motion that tilts a held source furthest over a vessel; None if none reaches `_MIN_TILT`."""
     best: _Tilt | None = None
     for direction, lip, turn in _tilt_directions(context.object_configs[thing]):
-        found = _tilt_towards(context, hand, thing, vessel, T_thing_in_pinch, joints, direction, lip, turn)
+        found = _tilt_towards(context, hand, thing, vessel, T_thing_in_pinch, joints, opening, direction, lip, turn)
         if found is not None and (best is None or found.score > best.score):
             best = found
     return best
@@ -307,6 +349,7 @@ def _tilt_towards(
     vessel: str,
     T_thing_in_pinch: Array,
     joints: Array,
+    opening: float,
     direction: Array,
     lip: float,
     turn: float,
@@ -315,6 +358,7 @@ def _tilt_towards(
 
     Args:
         joints: of the hand that holds the source upright, rad.
+        opening: of its fingers, m.
         direction, lip, turn: as in `_tilt_directions`.
     """
     target = context.object_configs[vessel]
@@ -342,7 +386,7 @@ def _tilt_towards(
         found = hand.solve_ik(T_thing @ T_pinch_in_thing, (rows[-1] if rows else joints,))
         if found is None or (rows and np.abs(found - rows[-1]).max() > _MAX_JOINT_STEP):
             break
-        if context.find_contact(hand, found, hand.opening, load):
+        if context.find_contact(hand, found, opening, load):
             break
         angles.append(float(angle))
         rows.append(found)
@@ -350,7 +394,7 @@ def _tilt_towards(
         return None
     narrow = radius < _NARROW
     longest = _NARROW_SHAKE if narrow else max(_SHAKES)
-    back, stroke = _shake_back(hand, rows[-1], T_thing_in_pinch, longest)
+    back, stroke = _shake_back(context, hand, rows[-1], opening, load, longest)
     return _Tilt(np.array(angles), np.array(rows), back, stroke, narrow)
 
 
@@ -377,13 +421,19 @@ def lip_height(angle: float, tall: float, behind: float, gap: float) -> float:
     return min(tall * cos + gap, (gap + behind * cos) / max(sin, 1e-9))
 
 
-def _shake_back(hand: Hand, joints: Array, T_thing_in_pinch: Array, longest: float) -> tuple[Array, float]:
-    """Return joints (dof,) with which a held source is drawn back along its axis, and how far, m."""
+def _shake_back(
+    context: PlanningContext, hand: Hand, joints: Array, opening: float, load: AttachedObject, longest: float
+) -> tuple[Array, float]:
+    """Return joints (dof,) with which a held source is drawn back along its axis without a contact, and how far, m."""
     T = hand.pinch_pose(joints)
-    axis = (T @ T_thing_in_pinch)[:3, 2]
+    axis = (T @ load.T_thing_in_pinch)[:3, 2]
     for stroke in (stroke for stroke in _SHAKES if stroke <= longest):
         found = hand.solve_ik(pose(T[:3, 3] - stroke * axis, T[:3, :3]), (joints,))
-        if found is not None and np.abs(found - joints).max() < _MAX_JOINT_STEP:
+        if (
+            found is not None
+            and np.abs(found - joints).max() < _MAX_JOINT_STEP
+            and not any(context.find_contact(hand, at, opening, load) for at in ((joints + found) / 2, found))
+        ):
             return found, stroke
     return joints, 0.0
 
@@ -403,10 +453,10 @@ def _carry(context: PlanningContext, hand: Hand, tilt: _Tilt) -> Iterator[Motion
     T, T_over = hand.pinch_pose(hand.joints), hand.pinch_pose(tilt.joints[0])
     T_up = T.copy()
     T_up[2, 3] = max(T[2, 3], T_over[2, 3])
-    yield context.make_segment({hand: context.plan_line(hand, T_up, _CARRY_SPEED)}, wait_for_arrival=False)
     try:
+        yield context.make_segment({hand: context.plan_line(hand, T_up, _CARRY_SPEED)}, wait_for_arrival=False)
         path = context.plan_line(hand, T_over, _CARRY_SPEED)
-        # The last joints are those that the tilt begins with, without a jump.
+        # A difference from the first joints of the tilt of at most `_SAME_JOINTS` is small enough to step over.
         direct = np.abs(path[-1] - tilt.joints[0]).max() < _SAME_JOINTS and is_collision_free(path, contact_or_tilt)
     except SkillFailedError:
         direct = False
