@@ -1,6 +1,6 @@
 """A small policy from images, as an example of a training loop of your own. It needs PyTorch.
 
-    python -m tools.picture_policy demos picture_policy.pt
+    python -m tools.picture_policy demos [more demos] picture_policy.pt
     yamsim eval --policy tools/picture_policy.py:PicturePolicy --policy-arg weights=picture_policy.pt \
         --trained-on demos --execute 2 --ensemble 0.01
 
@@ -152,7 +152,7 @@ def learning_rate_factor(step: int, steps: int) -> float:
 
 
 def windows_at(datasets: Sequence[ChunkWindows], rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the windows at `rows` (batch,) of the concatenated datasets."""
+    """Return the windows at `rows` (batch,), at least one, of the concatenated datasets, grouped by dataset."""
     ends = np.cumsum([len(one) for one in datasets])
     owner = np.searchsorted(ends, rows, side="right")
     parts = [one[rows[owner == k] - ends[k] + len(one)] for k, one in enumerate(datasets) if (owner == k).any()]

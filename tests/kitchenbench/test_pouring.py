@@ -65,10 +65,10 @@ def test_pieces_get_thicker_and_not_longer_where_they_would_be_too_many(base: An
     assert np.linalg.norm(np.subtract(part.end, part.start)) + 2 * part.radius == pytest.approx(0.05, abs=1e-4)
     assert part.radius > 0.006
     assert piece_count(filling) == (44, pytest.approx(1.0, abs=0.01))
-    line = describe_thicker_pieces(filling, blueprint_of("pour-pasta-full-box"), base.locations)
+    line = describe_thicker_pieces("source", filling, blueprint_of("pour-pasta-full-box"), base.locations)
     assert line.startswith("dry_pasta: 427 g are 44 pieces 13.") and line.endswith("thick instead of 8.0 mm")
     thin = blueprint_of(CUP)
-    assert describe_thicker_pieces(fillings_of(thin, base.locations)["source"], thin, base.locations) == ""
+    assert describe_thicker_pieces("source", fillings_of(thin, base.locations)["source"], thin, base.locations) == ""
 
 
 @pytest.mark.parametrize("angle", [0.0, 15.0, 40.0, 75.0, 90.0, 120.0])

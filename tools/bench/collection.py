@@ -104,12 +104,15 @@ def camera_figures(episode: Path, role: str, rows: Array) -> dict[str, Any]:
 def lag_s(episode: Path, side: str, rows: Array) -> float:
     """Return by how much an arm's joints follow their commands, by the least squares of all joints."""
     joints, commands = (np.load(episode / f"{name}.npy") for name in (f"{side}-joint_pos", f"action-{side}-joint"))
-    later = rows[rows > rows[0] + _MAX_LAG_S]
+    if len(rows) != len(joints):
+        raise SystemExit(f"{len(rows)} rows were seen, {len(joints)} are in the episode")
+    is_later = rows > rows[0] + _MAX_LAG_S
+    later = rows[is_later]
     lags = np.arange(0, _MAX_LAG_S, 0.001)
     errors = []
     for lag in lags:
         commanded = np.column_stack([np.interp(later - lag, rows, column) for column in commands.T])
-        errors.append(float(np.square(commanded - joints[-len(later) :]).sum()))
+        errors.append(float(np.square(commanded - joints[is_later]).sum()))
     return float(lags[int(np.argmin(errors))])
 
 

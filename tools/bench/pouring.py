@@ -26,18 +26,21 @@ MAX_ACTIONS = 100  # of a trial, as in the benchmark
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--pour", nargs="*")
+    """Measure from the command line."""
+    scenes = {scene.id.removeprefix("pour-pasta-"): scene for scene in tasks.TASK_FACTORIES["pour_pasta"]().scenes}
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--pour", nargs="*", metavar="SCENE", help=f"all, or some of: {', '.join(scenes)}")
     parser.add_argument("--realizations", nargs="*", type=int, default=[0])
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
+    if unknown := set(given.pour or ()) - scenes.keys():
+        parser.error(f"unknown scene {', '.join(sorted(unknown))}; the scenes are {', '.join(scenes)}")
     if given.pour is None:
         hold_still()
         return
-    for scene in tasks.TASK_FACTORIES["pour_pasta"]().scenes:
-        if not given.pour or scene.id.removeprefix("pour-pasta-") in given.pour:
-            for number in given.realizations:
-                pour(scene, int(derive_seed(given.seed, scene.init_seed, number)), number)
+    for name in given.pour or scenes:
+        for number in given.realizations:
+            pour(scenes[name], int(derive_seed(given.seed, scenes[name].init_seed, number)), number)
 
 
 def pour(scene: Any, seed: int, number: int) -> None:

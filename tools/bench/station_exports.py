@@ -38,7 +38,9 @@ _FORMATS = {"maker": ["maker"], "release": ["abc"], "training": ["abc", "--layou
 _RIG = "yam_station_linear_4310_d405"
 _ROLES = ("top", "left", "right")  # of cameras, with which their names begin
 _SQUARE = (224, 224)  # px, an image in ABC's layout for training
-_PATIENCE_S = 3600  # the machine may be busy
+_PATIENCE_S = 3600  # s, for a converter; the machine may be busy
+_NUMBERS = 28  # of a row in ABC's training layout: states and actions of two arms
+_ACTIONS = "action-SIDE-joint action-SIDE-gripper"  # files of an episode of the maker's, for each SIDE
 
 
 def main() -> None:
@@ -59,11 +61,13 @@ def measure_export(words: list[str], dataset: Path, out: Path, *more: str) -> di
     """Export with one process, and return its cost and the size of the output."""
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
     command = [sys.executable, "-m", "yamsim_cli", "export", *words, str(dataset), str(out), "--workers", "1", *more]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    seconds = time.monotonic() - began
+    if done.returncode:
+        raise SystemExit(done.stderr)
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime
     files = [path for path in out.rglob("*") if path.is_file()]
-    seconds = time.monotonic() - began
     return {"cpu_s": cpu, "s": seconds, "bytes": sum(path.stat().st_size for path in files), "files": len(files)}
 
 
@@ -147,7 +151,7 @@ class RoundTrips:
         differences = []
         for name in self._uuids:
             theirs, ours = (
-                np.fromfile(folder / name / "states_actions.bin").reshape(-1, 28)
+                np.fromfile(folder / name / "states_actions.bin").reshape(-1, _NUMBERS)
                 for folder in (out, self._folder / "training")
             )
             # Its rows begin one tick after the first message.
@@ -167,9 +171,6 @@ class RoundTrips:
                 wanted = np.stack([resize_image(image, _SQUARE, pad=True) for image in wanted])
             means.append(np.abs(images.astype(np.int16) - wanted).mean(axis=(1, 2, 3)))
         return {"mean": float(np.concatenate(means).mean()), "worst image": float(np.concatenate(means).max())}
-
-
-_ACTIONS = "action-SIDE-joint action-SIDE-gripper"
 
 
 def rows_of(episode: Any, key: str) -> Array:

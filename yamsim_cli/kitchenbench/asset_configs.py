@@ -160,9 +160,9 @@ def _thick_enough(piece: ObjectConfig, grams: float) -> ObjectConfig:
     return _with_shape(piece, {**data, "diameter_mm": round(factor * data["diameter_mm"], _DIAMETER_DIGITS)})
 
 
-def describe_thicker_pieces(filling: Filling, blueprint: SceneBlueprint, locations: Locations) -> str:
-    """Return how much thicker a substance's pieces are than those of its asset, as a sentence; "" if they are not."""
-    (asset,) = {item.asset for item in blueprint.objects if item.asset in _PIECE_CONFIGS}
+def describe_thicker_pieces(filled: str, filling: Filling, blueprint: SceneBlueprint, locations: Locations) -> str:
+    """Return how much thicker the pieces in `filled` are than those of their asset, as a sentence, or ""."""
+    (asset,) = {item.asset for item in blueprint.objects if item.parent == filled and item.asset in _PIECE_CONFIGS}
     nominal = _shape_data(load_config(ObjectConfig, "objects", _PIECE_CONFIGS[asset], locations))["diameter_mm"]
     thick = _shape_data(filling.of)["diameter_mm"]
     if thick <= nominal:

@@ -180,7 +180,7 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
         name: round(1000 * float(np.linalg.norm(_horizontal_position(simulator.scene, start, name) - T[:2, 3])), 2)
         for name, T in wanted.items()
     }
-    thicker = [describe_thicker_pieces(filling, blueprint, base.locations) for filling in fillings.values()]
+    thicker = [describe_thicker_pieces(name, one, blueprint, base.locations) for name, one in fillings.items()]
     unrealized = (*_unrealized_conditions(blueprint, offsets), *thicker)
     return BenchmarkScene(
         blueprint, simulator, start, _container_regions(blueprint), offsets, tuple(filter(None, unrealized))

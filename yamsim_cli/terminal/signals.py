@@ -38,15 +38,21 @@ def defer_signals() -> Iterator[Callable[[], bool]]:
 def stop_on_signal(message: str) -> Iterator[StopRequest]:
     """Yield a stop request that the first signal or a closed terminal sets. The second raises KeyboardInterrupt.
 
-    In an `uninterrupted` block of the request, the second raises at the end of the block, and the third at once.
+    In an `uninterrupted` block of the request, the second raises at the end of the block, and the third at once. Only
+    the first prints `message`.
     """
     from yamsim_cli.core.workers.stop_request import StopRequest
 
     stop = StopRequest()
 
-    def request_stop(number: int, frame: FrameType | None) -> None:
-        if stop.is_requested and not stop.postpone_interrupt():
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        if not stop.postpone_interrupt():
             _raise_interrupt(number, frame)
+
+    def request_stop(number: int, frame: FrameType | None) -> None:
+        if stop.is_requested:
+            interrupt(number, frame)
+            return
         stop.request_stop()
         # The handler may have interrupted a write to sys.stderr, which is not reentrant.
         with suppress(OSError):
@@ -55,6 +61,8 @@ def stop_on_signal(message: str) -> Iterator[StopRequest]:
     # Signals that are ignored already, such as SIGHUP under nohup, stay ignored.
     wanted = [number for number in (*_STOP_SIGNALS, signal.SIGHUP) if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, request_stop) for number in wanted}
+    # `_raise_interrupt` sets an alarm for a signal that arrives during an import.
+    before[signal.SIGALRM] = signal.signal(signal.SIGALRM, interrupt)
     try:
         yield stop
     finally:

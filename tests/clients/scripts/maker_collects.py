@@ -35,7 +35,7 @@ def main(checkout: str, out: str, *arguments: str) -> None:
         setattr(owner, name, noted)
 
     def note_row(recorder: Any) -> None:
-        if recorder.is_recording:
+        if recorder.is_recording and len(read_s) == len(told_s) == 2:
             rows.append((time.time(), list(read_s.values()), list(told_s.values())))
 
     # The SDK's states have a time; a command is sent in the next cycle of the SDK's own loop.
@@ -47,8 +47,8 @@ def main(checkout: str, out: str, *arguments: str) -> None:
     def stop_and_write(recorder: Any) -> Any:
         began = time.time()
         folder = stop(recorder)
-        recorded, read, told = zip(*rows, strict=True)
         saving = time.time() - began
+        recorded, read, told = zip(*rows, strict=True)
         np.savez(out, rows=np.array(recorded), read=np.array(read), told=np.array(told), saving=saving)
         return folder
 

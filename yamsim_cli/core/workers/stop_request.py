@@ -8,8 +8,8 @@ from contextlib import contextmanager
 class StopRequest:
     """A request to end a job, which the job checks between two steps.
 
-    A signal handler or another thread makes the request; no request is withdrawn. A later interrupt ends the job at
-    once, except in an `uninterrupted` block.
+    A signal handler or another thread makes the request; no request is withdrawn. A signal handler asks
+    `postpone_interrupt` whether a later signal may interrupt the job at once.
     """
 
     def __init__(self) -> None:
@@ -33,9 +33,9 @@ class StopRequest:
             self._asked_at = time.monotonic()
 
     def postpone_interrupt(self) -> bool:
-        """Return whether an interrupt that arrives now waits for the end of an `uninterrupted` block.
+        """Note an interrupt, and return whether it waits for the end of an `uninterrupted` block.
 
-        Only one interrupt waits, so that another one can end a block that blocks.
+        Only one interrupt waits, so that another one can end a block that hangs.
         """
         if not self._in_block or self._interrupt_waits:
             return False
@@ -44,12 +44,14 @@ class StopRequest:
 
     @contextmanager
     def uninterrupted(self) -> Iterator[None]:
-        """Let the first interrupt in the `with` block raise KeyboardInterrupt at the end of the block."""
-        self._in_block = True
+        """Let the first interrupt in the `with` block raise KeyboardInterrupt at the end of the block.
+
+        If the block raises another exception, that one counts, and the interrupt is forgotten.
+        """
+        self._interrupt_waits, self._in_block = False, True
         try:
             yield
         finally:
             self._in_block = False
         if self._interrupt_waits:
-            self._interrupt_waits = False
             raise KeyboardInterrupt
