@@ -9,7 +9,9 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.pages import DOCS, blocks
@@ -59,3 +61,22 @@ def test_one_demonstration_is_learnt_from_images_and_done_again(repository: Path
     assert (report["stats"]["n"], report["stats"]["n_success"]) == (1, 1)
     assert (report["settings"]["size_px"], report["settings"]["quality"]) == ([64, 48], "fast")
     assert report["settings"]["trained_on"]["differences"] == {}
+
+
+def test_a_batch_has_windows_of_several_datasets() -> None:
+    pytest.importorskip("torch", reason="PyTorch is not installed: pip install torch")
+    from tools.picture_policy import windows_at
+
+    class Windows:
+        def __init__(self, count: int, first: int) -> None:
+            self.values = np.arange(first, first + count)
+
+        def __len__(self) -> int:
+            return len(self.values)
+
+        def __getitem__(self, rows: np.ndarray) -> dict[str, np.ndarray]:
+            return {"value": self.values[rows]}
+
+    datasets: Any = [Windows(3, 10), Windows(2, 20), Windows(4, 30)]
+    assert windows_at(datasets, np.array([8, 3, 2, 0]))["value"].tolist() == [12, 10, 20, 33]
+    assert windows_at(datasets, np.array([5, 4]))["value"].tolist() == [21, 30]
