@@ -1,0 +1,113 @@
+"""Draw the expert in the first solved scene of each KitchenBench task, into `docs/images/kitchenbench/`.
+
+python -m tools.kitchenbench_pictures               # all tasks that the expert performs
+python -m tools.kitchenbench_pictures pour_pasta    # or some
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from inspect_robots.rollout import derive_seed
+from kitchenbench import tasks
+from kitchenbench.sim import build_blueprint
+
+from yamsim_cli.core.errors import YamsimError
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.session_opener import SessionOpener
+
+_FOLDER = Path(__file__).resolve().parents[1] / "docs" / "images" / "kitchenbench"
+_MOMENTS = (0, 0.35, 0.7, 1)  # shares of a trial's actions
+_SIZE, _FINE = (240, 180), (960, 720)  # px, of a picture, and of the rendered one before it is scaled
+_QUALITY = 85  # of the JPEG files
+_DISTANCE, _AZIMUTH, _ELEVATION = 0.95, 150.0, -25.0  # m and degrees, of the camera from the middle of the objects
+_ABOVE = 0.1  # m, above that middle, of the point that the camera looks at
+_SEED = 0
+
+
+def main(names: list[str]) -> None:
+    """Draw and write."""
+    opener = SessionOpener(os.environ, lambda text: print(text, file=sys.stderr), str)
+    # What draws is settled before anything imports MuJoCo.
+    opener.choose_gl_backend(opener.find_locations())
+    _FOLDER.mkdir(exist_ok=True)
+    for name in names or sorted(tasks.TASK_FACTORIES):
+        strip = first_success(name)
+        if strip is None:
+            sys.stdout.write(f"{name}: the expert solves no first realization\n")
+            continue
+        file = _FOLDER / f"{name}.jpg"
+        cv2.imwrite(str(file), strip[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+        sys.stdout.write(f"{file}: {file.stat().st_size} bytes\n")
+
+
+def first_success(name: str) -> Array | None:
+    """Return the pictures (height, 4 * width, 3) of the first scene of a task that the expert solves; None if none."""
+    task = tasks.TASK_FACTORIES[name]()
+    for scene in task.scenes:
+        try:
+            strip = solve(scene, task.max_steps)
+        except YamsimError as error:
+            sys.stdout.write(f"{scene.id}: {error}\n")
+            continue
+        if strip is not None:
+            return strip
+    return None
+
+
+def solve(scene: Any, max_actions: int) -> Array | None:
+    """Let the expert act in the first realization of a scene, and return the pictures; None without success.
+
+    The benchmark's checker judges after each motion, so the success of `handoff`, which lasts shorter, is not seen.
+    """
+    from yamsim_cli.kitchenbench.benchmark_scene import TICK_HZ, build_benchmark_scene, open_station_session
+    from yamsim_cli.kitchenbench.policy import PlanningScene
+    from yamsim_cli.kitchenbench.success_judges import KitchenJudge
+
+    seed = int(derive_seed(_SEED, scene.init_seed, 0))
+    realized = build_benchmark_scene(build_blueprint(scene, seed), open_station_session("64x48", images=False))
+    planning = PlanningScene(realized, seed, TICK_HZ // 3)
+    judge, states, actions = KitchenJudge(realized, planning.motion), [planning.motion.data.qpos.copy()], 0
+    try:
+        while actions < max_actions and not judge.evaluate()[0]:
+            new = len(planning.next_actions())
+            if not new:
+                break
+            actions += new
+            states.append(planning.motion.data.qpos.copy())
+        if not judge.evaluate()[0]:
+            return None
+        return film_strip(realized.simulator.scene, states)
+    finally:
+        planning.close()
+
+
+def film_strip(scene: Any, states: list[Array]) -> Array:
+    """Return pictures of the states at `_MOMENTS`, side by side."""
+    import mujoco
+
+    model = scene.model
+    data, camera = mujoco.MjData(model), mujoco.MjvCamera()
+    data.qpos[:] = states[0]
+    mujoco.mj_kinematics(model, data)
+    camera.lookat[:] = np.mean([data.body(name).xpos for name in scene.object_names], axis=0)
+    camera.lookat[2] += _ABOVE
+    camera.distance, camera.azimuth, camera.elevation = _DISTANCE, _AZIMUTH, _ELEVATION
+    model.vis.global_.offwidth, model.vis.global_.offheight = _FINE
+    shown = []
+    with mujoco.Renderer(model, *_FINE[::-1]) as renderer:
+        for moment in _MOMENTS:
+            data.qpos[:] = states[round(moment * (len(states) - 1))]
+            mujoco.mj_forward(model, data)
+            renderer.update_scene(data, camera)
+            shown.append(cv2.resize(renderer.render(), _SIZE, interpolation=cv2.INTER_AREA))
+    return np.hstack(shown)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
