@@ -17,7 +17,7 @@ def test_a_later_signal_waits_for_the_end_of_the_block(
     """SIGALRM stands for a signal that arrived during an import, and was postponed."""
     steps = []
     with stop_on_signal("stopping") as stop:
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGTERM)
         with pytest.raises(KeyboardInterrupt), stop.uninterrupted():
             os.kill(os.getpid(), later)
             steps.append("written")
@@ -26,11 +26,11 @@ def test_a_later_signal_waits_for_the_end_of_the_block(
 
 def test_an_interrupt_is_forgotten_if_the_block_fails() -> None:
     with stop_on_signal("stopping") as stop:
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGTERM)
         with pytest.raises(ValueError, match="disk"), stop.uninterrupted():
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), signal.SIGTERM)
             raise ValueError("disk")
         with stop.uninterrupted():
             pass
         with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), signal.SIGTERM)

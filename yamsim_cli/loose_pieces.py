@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from .core.config.objects.object_config import ObjectConfig
@@ -32,12 +31,11 @@ _CONDIM = 3
 # Time constant of the contacts (`solref`), s: two steps of 1/480 s, the longest step in use. MuJoCo is not stable below
 # two steps. Kitchen objects have 6 ms.
 _PUSH_OUT_S = 0.0042
-_PIECE = "_piece_"  # between the filled object's name and the number of a piece, in the piece's name
 
 
-def piece_bodies(model: mujoco.MjModel, filled: str) -> list[int]:
-    """Return the numbers of the bodies that are the loose pieces of an object."""
-    return [k for k in range(model.nbody) if model.body(k).name.startswith(f"{filled}{_PIECE}")]
+def piece_name_prefix(filled: str) -> str:
+    """Return the beginning of the names of an object's loose pieces."""
+    return f"{filled}_piece_"
 
 
 def loose_pieces(task: ProgramTask) -> dict[str, tuple[ObjectConfig, ...]]:
@@ -109,7 +107,7 @@ def _make_pieces(name: str, filling: Filling, task: ProgramTask) -> tuple[Object
     contact = one.contact.model_copy(update={"condim": _CONDIM, "push_out_s": _PUSH_OUT_S})
     # Without `shape`, the primitive is visible, and scenes need no mesh for each piece.
     made = one.model_copy(update={"shape": None, "inertia": inertia, "contact": contact, "meshes": ()})
-    return tuple(made.with_name(f"{name}{_PIECE}{k + 1}") for k in range(count))
+    return tuple(made.with_name(f"{piece_name_prefix(name)}{k + 1}") for k in range(count))
 
 
 def _axis_of(piece: ObjectConfig, task: ProgramTask) -> tuple[Array, Array, float]:

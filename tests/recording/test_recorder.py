@@ -257,7 +257,7 @@ def test_the_second_signal_waits_until_an_episode_and_its_ledger_line_are_writte
 
     def interrupted(self: DatasetWriter, attempt: AttemptRecord) -> None:
         for _ in range(signals):
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), signal.SIGTERM)
         log_attempt(self, attempt)
 
     monkeypatch.setattr(DatasetWriter, "log_attempt", interrupted)

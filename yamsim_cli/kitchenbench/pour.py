@@ -28,7 +28,7 @@ from ..core.expert.skills.planning_context import (
 )
 from ..core.expert.skills.skill import Skill, find_holding_hand
 from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_z
-from ..loose_pieces import piece_bodies
+from ..loose_pieces import piece_name_prefix
 
 _FORCE = 40.0  # N, of each finger; a carton with 500 g of pasta weighs 5.2 N, and swings between the pads
 _CLEARANCE = 0.006  # m, additional opening of each finger before closing: a carton is 80 mm wide, a hand opens 95 mm
@@ -225,9 +225,14 @@ def _require_shapes(context: PlanningContext, thing: str, vessel: str) -> None:
             raise SkillFailedError(FailureCause.UNREACHABLE, f"the {name} has no shape that can be {use}")
 
 
+def _piece_bodies(context: PlanningContext, thing: str) -> list[int]:
+    model, prefix = context.model, piece_name_prefix(thing)
+    return [k for k in range(model.nbody) if model.body(k).name.startswith(prefix)]
+
+
 def _piece_length(context: PlanningContext, thing: str) -> float:
     """Return the length of an object's loose pieces, m."""
-    body = piece_bodies(context.model, thing)[0]
+    body = _piece_bodies(context, thing)[0]
     return 2 * float(context.model.geom_size[context.model.body_geomadr[body]][:2].sum())
 
 
@@ -237,7 +242,7 @@ class _Pieces:
     def __init__(self, context: PlanningContext, thing: str) -> None:
         self._context, self._world, self._thing = context, context.world, thing
         self._empty = context.object_configs[thing]
-        self._bodies = piece_bodies(context.model, thing)
+        self._bodies = _piece_bodies(context, thing)
         if not self._bodies:
             raise SkillFailedError(FailureCause.UNREACHABLE, f"the {thing} has no loose pieces to pour")
 
