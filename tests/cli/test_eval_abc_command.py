@@ -21,7 +21,7 @@ from tests.cli.warm import REPOSITORY
 EVAL = ("eval", "--task", "abc/put_bottles")
 SEED = 20260511  # Source: amazon-far/abc e5e1fbc, `SimEvalConfig.seed` of abc_minimal/config.py
 
-# A short run of the executable, which accepts the files of a folder as those of the commit.
+# The executable. It accepts the files of a folder in place of the files of the commit.
 PROGRAM = """
 from pathlib import Path
 

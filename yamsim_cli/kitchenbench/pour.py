@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core.attempt_data import FailureCause
 from ..core.config.goals.role_assignment import RoleAssignment
@@ -19,7 +20,7 @@ from ..core.expert.planning.collision_checker import AttachedObject
 from ..core.expert.planning.trajectory import is_collision_free
 from ..core.expert.skills.grasp_candidates import GraspCandidate
 from ..core.expert.skills.hand import Hand
-from ..core.expert.skills.pick import Pick, ReachableGrasp
+from ..core.expert.skills.pick import Pick, ReachableGrasp, summarize_reasons
 from ..core.expert.skills.planning_context import (
     MotionSegment,
     PlanningContext,
@@ -58,9 +59,8 @@ _MAX_LIP_OFFSET = 0.8
 
 _TICKS = 10  # control ticks of a step: one action of the benchmark
 _FAST_STEP, _SLOW_STEP = math.radians(12), math.radians(4)  # rad, of a step before and after the first piece left
-_MAX_FLOW = (
-    0.05  # share of the pieces that may leave in a step over a narrow vessel; if more leave, the source tilts back
-)
+# Share of the pieces that may leave in a step over a narrow vessel. If more leave, the source tilts back.
+_MAX_FLOW = 0.05
 _BACK_STEP = math.radians(1)  # rad, by which it tilts back in a step
 # m, strokes of a shake along the source's axis, in the order tried. At the largest tilt, friction holds pieces, and a
 # shake of two actions loosens them.
@@ -97,6 +97,24 @@ class _Tilt:
     def joints_at(self, angle: float) -> Array:
         """Return the joints (dof,) at an angle, rad."""
         return np.array([np.interp(angle, self.angles, row) for row in self.joints.T])
+
+
+@dataclass(frozen=True)
+class _HeldSource:
+    """A source that a hand holds upright, now or in a grasp that is tried.
+
+    Attributes:
+        load: the source in the hand.
+        joints: of the hand (dof,), rad.
+        opening: of each finger, m.
+        piece_length: of its loose pieces, m.
+    """
+
+    hand: Hand
+    load: AttachedObject
+    joints: Array
+    opening: float
+    piece_length: float
 
 
 class Pour(Skill):
@@ -137,16 +155,18 @@ class Pour(Skill):
         if hand is None:
             yield from _raise_touching_hands(context)
             pieces.weigh()
-            hand, grasp = self._find_grasp(context, thing, vessel)
+            hand, grasp = self._find_grasp(context, thing, vessel, pieces.length)
             yield from Pick(thing=self.thing, lift=_LIFT).grasp_and_lift(context, hand, thing, grasp)
-        held = context.measure_held_object(hand)
-        tilt = _longest_tilt(context, hand, thing, vessel, held.T_thing_in_pinch, hand.joints, hand.opening)
+        load = AttachedObject(thing, context.measure_held_object(hand).T_thing_in_pinch)
+        tilt = _longest_tilt(context, _HeldSource(hand, load, hand.joints, hand.opening, pieces.length), vessel)
         if tilt is None:
             raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to tilt the {thing} over the {vessel}")
         yield from _carry(context, hand, tilt)
         yield from self._tilt_until_poured(context, hand, tilt, pieces)
 
-    def _find_grasp(self, context: PlanningContext, thing: str, vessel: str) -> tuple[Hand, ReachableGrasp]:
+    def _find_grasp(
+        self, context: PlanningContext, thing: str, vessel: str, piece_length: float
+    ) -> tuple[Hand, ReachableGrasp]:
         """Return the hand and the grasp with which the source tilts furthest."""
         best: tuple[float, Hand, ReachableGrasp] | None = None
         picker, reasons = Pick(thing=self.thing, lift=_LIFT), dict[str, int]()
@@ -160,8 +180,9 @@ class Pour(Skill):
                 if found is not None:
                     reasons[found] = reasons.get(found, 0) + 1
                 continue
-            T_thing_in_pinch, opening = invert_pose(candidate.T_pinch_in_thing), candidate.opening
-            tilt = _longest_tilt(context, hand, thing, vessel, T_thing_in_pinch, found.grasp_joints, opening)
+            load = AttachedObject(thing, invert_pose(candidate.T_pinch_in_thing))
+            source = _HeldSource(hand, load, found.grasp_joints, candidate.opening, piece_length)
+            tilt = _longest_tilt(context, source, vessel)
             if tilt is None:
                 why = f"the {hand.side} arm cannot tilt it over the {vessel} with this grasp"
                 reasons[why] = reasons.get(why, 0) + 1
@@ -170,10 +191,8 @@ class Pour(Skill):
                 if best[0] >= _ENOUGH_TILT:
                     break
         if best is None:
-            summary = "; ".join(f"{why} ({n})" for why, n in sorted(reasons.items(), key=lambda item: -item[1])[:3])
-            raise SkillFailedError(
-                FailureCause.UNREACHABLE, f"no grasp to pour from the {thing}: {summary or 'no hand is free'}"
-            )
+            why = summarize_reasons(reasons) or "no hand is free"
+            raise SkillFailedError(FailureCause.UNREACHABLE, f"no grasp to pour from the {thing}: {why}")
         return best[1], best[2]
 
     def _tilt_until_poured(
@@ -186,13 +205,12 @@ class Pour(Skill):
         angle, left, most, tries = 0.0, pieces.left_share, 0.0, 0
         largest = float(tilt.angles[-1])
         while left < 1.0 and tries < _MAX_TRIES:
-            before = left
             pieces.weigh()
             goal = min(angle + (_FAST_STEP if left == 0 else _SLOW_STEP), largest)
             if tilt.over_narrow_vessel and left > most + _MAX_FLOW:
                 # A little back, so that the flow ends.
                 goal = max(angle - _BACK_STEP, 0.0)
-            most = max(most, before)
+            most = max(most, left)
             if angle < largest or goal < largest:
                 yield context.make_segment({hand: _tilt_path(tilt, angle, goal)}, wait_for_arrival=False)
             else:
@@ -225,33 +243,27 @@ def _require_shapes(context: PlanningContext, thing: str, vessel: str) -> None:
             raise SkillFailedError(FailureCause.UNREACHABLE, f"the {name} has no shape that can be {use}")
 
 
-def _piece_bodies(context: PlanningContext, thing: str) -> list[int]:
-    model, prefix = context.model, piece_name_prefix(thing)
-    return [k for k in range(model.nbody) if model.body(k).name.startswith(prefix)]
-
-
-def _piece_length(context: PlanningContext, thing: str) -> float:
-    """Return the length of an object's loose pieces, m."""
-    body = _piece_bodies(context, thing)[0]
-    return 2 * float(context.model.geom_size[context.model.body_geomadr[body]][:2].sum())
-
-
 class _Pieces:
-    """The loose pieces of a filled object, and how many of them are in it now."""
+    """The loose pieces of a filled object, and how many of them are in it now.
+
+    Attributes:
+        length: of a piece, m.
+    """
 
     def __init__(self, context: PlanningContext, thing: str) -> None:
         self._context, self._world, self._thing = context, context.world, thing
         self._empty = context.object_configs[thing]
-        self._bodies = _piece_bodies(context, thing)
-        if not self._bodies:
+        model, prefix = context.model, piece_name_prefix(thing)
+        self._bodies = np.array([k for k in range(model.nbody) if model.body(k).name.startswith(prefix)], dtype=int)
+        if not len(self._bodies):
             raise SkillFailedError(FailureCause.UNREACHABLE, f"the {thing} has no loose pieces to pour")
+        self.length = 2 * float(model.geom_size[model.body_geomadr[self._bodies[0]]][:2].sum())
 
     def weigh(self) -> None:
         """Let the planning context know the mass and the centre of mass of the source with the pieces in it now."""
         data, model = self._world.data, self._context.model
         T = self._world.pose(self._thing)
-        inside = self._world.points_inside(self._thing, data.xipos[self._bodies])
-        bodies = np.array(self._bodies)[inside]
+        bodies = self._bodies[self._are_inside()]
         masses = model.body_mass[bodies]
         centres = (data.xipos[bodies] - T[:3, 3]) @ T[:3, :3]
         empty = self._empty.inertia
@@ -264,8 +276,10 @@ class _Pieces:
     @property
     def left_share(self) -> float:
         """Share of the pieces that are not in the source any more."""
-        points = self._world.data.xipos[self._bodies]
-        return 1.0 - float(self._world.points_inside(self._thing, points).mean())
+        return 1.0 - float(self._are_inside().mean())
+
+    def _are_inside(self) -> NDArray[np.bool_]:
+        return self._world.points_inside(self._thing, self._world.data.xipos[self._bodies])
 
 
 def _raise_touching_hands(context: PlanningContext) -> Iterator[MotionSegment]:
@@ -287,11 +301,10 @@ def _grasps(source: ObjectConfig) -> Iterator[GraspCandidate]:
         if isinstance(shape, VesselShape):
             count = _GRASP_AZIMUTHS
             widths = [shape.diameter_mm / 1000] * count
-        elif isinstance(shape, ContainerShape):
+        else:
+            assert isinstance(shape, ContainerShape), "vessels and containers are poured from"
             count = 4
             widths = [shape.size_mm[1 - k % 2] / 1000 for k in range(count)]
-        else:
-            return
         for k, width in enumerate(widths):
             turn = 2 * math.pi * k / count
             x, y = math.cos(turn), math.sin(turn)
@@ -327,57 +340,37 @@ def _tilt_directions(source: ObjectConfig) -> Iterator[tuple[Array, float, float
         yield np.array([math.cos(turn), math.sin(turn), 0.0]), shape.diameter_mm / 2000, 0.0
 
 
-def _longest_tilt(
-    context: PlanningContext,
-    hand: Hand,
-    thing: str,
-    vessel: str,
-    T_thing_in_pinch: Array,
-    joints: Array,
-    opening: float,
-) -> _Tilt | None:
+def _longest_tilt(context: PlanningContext, source: _HeldSource, vessel: str) -> _Tilt | None:
     """Return the motion that tilts a held source furthest over a vessel; None if none reaches `_MIN_TILT`."""
     best: _Tilt | None = None
-    for direction, lip, turn in _tilt_directions(context.object_configs[thing]):
-        found = _tilt_towards(context, hand, thing, vessel, T_thing_in_pinch, joints, opening, direction, lip, turn)
+    for direction, lip, turn in _tilt_directions(context.object_configs[source.load.thing]):
+        found = _tilt_towards(context, source, vessel, direction, lip, turn)
         if found is not None and (best is None or found.score > best.score):
             best = found
     return best
 
 
 def _tilt_towards(
-    context: PlanningContext,
-    hand: Hand,
-    thing: str,
-    vessel: str,
-    T_thing_in_pinch: Array,
-    joints: Array,
-    opening: float,
-    direction: Array,
-    lip: float,
-    turn: float,
+    context: PlanningContext, source: _HeldSource, vessel: str, direction: Array, lip: float, turn: float
 ) -> _Tilt | None:
     """Return the motion that tilts a held source over a vessel as far as possible; None if that is not far enough.
 
-    Args:
-        joints: of the hand that holds the source upright, rad.
-        opening: of its fingers, m.
-        direction, lip, turn: as in `_tilt_directions`.
+    `direction`, `lip` and `turn` are as in `_tilt_directions`.
     """
+    hand, T_thing_in_pinch = source.hand, source.load.T_thing_in_pinch
     target = context.object_configs[vessel]
     assert isinstance(target.shape, VesselShape), "only vessels are poured into"
-    tall = _height(context.object_configs[thing])
+    tall = _height(context.object_configs[source.load.thing])
     radius, rim = target.shape.diameter_mm / 2000, target.shape.height_mm / 1000
     T_vessel, table = context.world.pose(vessel), float(context.world.aabb(TABLE)[1][2])
-    R = rotation_z(turn) @ (hand.pinch_pose(joints) @ T_thing_in_pinch)[:3, :3]
+    R = rotation_z(turn) @ (hand.pinch_pose(source.joints) @ T_thing_in_pinch)[:3, :3]
     towards = R @ direction
     towards[2] = 0.0
     towards /= np.linalg.norm(towards)
     axis = np.cross([0.0, 0.0, 1.0], towards)
-    offset = min(_piece_length(context, thing) / 2, _MAX_LIP_OFFSET * radius)
+    offset = min(source.piece_length / 2, _MAX_LIP_OFFSET * radius)
     behind = _edge_distance(context, vessel, -towards) - offset
     gap = min(_LIP_GAP, _LIP_GAP_SHARE * radius)
-    load = AttachedObject(thing, T_thing_in_pinch)
     T_pinch_in_thing = invert_pose(T_thing_in_pinch)
     angles, rows = list[float](), list[Array]()
     for angle in np.arange(0.0, _MAX_TILT + 1e-9, _TILT_STEP):
@@ -386,10 +379,10 @@ def _tilt_towards(
         at[2] = height
         turned = rotation_from_vector(angle * axis) @ R
         T_thing = pose(at - turned @ (lip * direction + [0.0, 0.0, tall]), turned)
-        found = hand.solve_ik(T_thing @ T_pinch_in_thing, (rows[-1] if rows else joints,))
+        found = hand.solve_ik(T_thing @ T_pinch_in_thing, (rows[-1] if rows else source.joints,))
         if found is None or (rows and np.abs(found - rows[-1]).max() > _MAX_JOINT_STEP):
             break
-        if context.find_contact(hand, found, opening, load):
+        if context.find_contact(hand, found, source.opening, source.load):
             break
         angles.append(float(angle))
         rows.append(found)
@@ -397,7 +390,7 @@ def _tilt_towards(
         return None
     narrow = radius < _NARROW
     longest = _NARROW_SHAKE if narrow else max(_SHAKES)
-    back, stroke = _shake_back(context, hand, rows[-1], opening, load, longest)
+    back, stroke = _shake_back(context, source, rows[-1], longest)
     return _Tilt(np.array(angles), np.array(rows), back, stroke, narrow)
 
 
@@ -424,18 +417,18 @@ def lip_height(angle: float, tall: float, behind: float, gap: float) -> float:
     return min(tall * cos + gap, (gap + behind * cos) / max(sin, 1e-9))
 
 
-def _shake_back(
-    context: PlanningContext, hand: Hand, joints: Array, opening: float, load: AttachedObject, longest: float
-) -> tuple[Array, float]:
-    """Return joints (dof,) with which a held source is drawn back along its axis without a contact, and how far, m."""
-    T = hand.pinch_pose(joints)
-    axis = (T @ load.T_thing_in_pinch)[:3, 2]
+def _shake_back(context: PlanningContext, source: _HeldSource, joints: Array, longest: float) -> tuple[Array, float]:
+    """Return joints (dof,) that draw a tilted source back along its axis without a contact, and how far, m."""
+    hand, T = source.hand, source.hand.pinch_pose(joints)
+    axis = (T @ source.load.T_thing_in_pinch)[:3, 2]
     for stroke in (stroke for stroke in _SHAKES if stroke <= longest):
         found = hand.solve_ik(pose(T[:3, 3] - stroke * axis, T[:3, :3]), (joints,))
         if (
             found is not None
             and np.abs(found - joints).max() < _MAX_JOINT_STEP
-            and not any(context.find_contact(hand, at, opening, load) for at in ((joints + found) / 2, found))
+            and not any(
+                context.find_contact(hand, at, source.opening, source.load) for at in ((joints + found) / 2, found)
+            )
         ):
             return found, stroke
     return joints, 0.0

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -79,10 +79,7 @@ class Pick(Skill):
             reasons[
                 f"it is {size} mm and has no two opposite faces less than {stroke} apart, the largest opening of a hand"
             ] = 1
-        summary = "; ".join(
-            f"{why} ({number})" for why, number in sorted(reasons.items(), key=lambda item: -item[1])[:3]
-        )
-        raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to take the {thing}: {summary}")
+        raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to take the {thing}: {summarize_reasons(reasons)}")
 
     def _hands_by_reach(self, context: PlanningContext, thing: str, goals: Sequence[Array]) -> list[Hand]:
         """Return the hands that may pick, that with the shortest reach to the object and its goals first."""
@@ -189,6 +186,11 @@ class Pick(Skill):
             return f"the {hand.side} arm cannot lift it with this grasp"
         load = AttachedObject(thing, invert_pose(candidate.T_pinch_in_thing), (TABLE, *context.world.object_names))
         return context.find_contact(hand, up, candidate.opening, load)
+
+
+def summarize_reasons(reasons: Mapping[str, int]) -> str:
+    """Return the three most frequent reasons why grasps fail, with their numbers; "" without reasons."""
+    return "; ".join(f"{why} ({number})" for why, number in sorted(reasons.items(), key=lambda item: -item[1])[:3])
 
 
 def _approach_joints(
