@@ -154,6 +154,12 @@ def test_bars_leave_the_picture_the_sensors_field_of_view(make_simulator: MakeSi
     assert (wide.cx, wide.cy) == pytest.approx((plain.cx, plain.cy))
 
 
+def test_key_frames_of_a_video_need_its_quantization() -> None:
+    with pytest.raises(ValueError, match="h264_key_frames needs h264_qp"):
+        CameraEffects(h264_key_frames=10)
+    assert CameraEffects.model_validate(CameraEffects().model_dump()).h264_qp is None
+
+
 @pytest.mark.parametrize("crop", [(0.2, 0.0, 0.2, 1.0), (0.0, 0.9, 1.0, 0.1)])
 def test_a_crop_without_area_is_refused(crop: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match="crop is left, top, right, bottom"):

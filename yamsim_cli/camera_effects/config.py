@@ -88,6 +88,8 @@ class CameraEffects(Config):
             )
         if self.read_noise_e and self.full_well_e is None:
             raise ConflictError("read_noise_e needs full_well_e, the electrons of white", ("read_noise_e",))
+        if self.h264_qp is None and self.h264_key_frames != type(self).model_fields["h264_key_frames"].default:
+            raise ConflictError("h264_key_frames needs h264_qp, the quantization of the video", ("h264_key_frames",))
         if self.crop is not None:
             left, top, right, bottom = self.crop
             if min(right - left, bottom - top) < _MIN_CROP:

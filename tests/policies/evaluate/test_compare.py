@@ -59,7 +59,7 @@ def test_the_p_value_is_that_of_the_exact_sign_test() -> None:
 
 
 def test_trials_are_paired() -> None:
-    found = compare_reports(report("a", "1111100000"), report("b", "1100000001"))
+    found = compare_reports(report("a", "1111100000"), report("b", "1100000001"), "b.json")
     assert found == {
         "policy": "b", "success_rate": 0.3, "n": 10,
         "both": 2, "only_first": 3, "only_second": 1, "neither": 4, "difference": 0.2,
@@ -113,18 +113,18 @@ def test_reports_in_files_are_compared_and_unequal_settings_named(tmp_path: Path
     ],
 )
 def test_reports_with_other_trials_are_not_compared(change: dict[str, Any], told: str) -> None:
-    with pytest.raises(UsageError, match=f"--compare b: {told}"):
-        compare_reports(report("a", "101"), report("b", "101") | change)
+    with pytest.raises(UsageError, match=f"--compare b.json: {told}"):
+        compare_reports(report("a", "101"), report("b", "101") | change, "b.json")
 
 
 def test_trials_with_other_starts_are_not_compared() -> None:
     other = copy.deepcopy(report("b", "101"))
     other["trials"][1]["layout"]["banana"][0] += 1e-6
     with pytest.raises(UsageError, match="trial 1 has another start"):
-        compare_reports(report("a", "101"), other)
+        compare_reports(report("a", "101"), other, "b.json")
     # A trial with a lost worker has no start.
     other["trials"][1]["layout"] = {}
-    assert compare_reports(report("a", "101"), other)["both"] == 2
+    assert compare_reports(report("a", "101"), other, "b.json")["both"] == 2
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"trials": 1}', '{"trials": [], "stats": {}}', "[" * 100_000])
@@ -143,7 +143,7 @@ def test_a_report_is_read(tmp_path: Path) -> None:
 
 def test_the_leaderboard_has_the_best_first_and_breaks_out_of_nothing() -> None:
     one, other = report("<script>worse</script>", "1000"), report("better", "1110")
-    page = leaderboard_page([one, other], [compare_reports(one, other)], "Made by a test.")
+    page = leaderboard_page([one, other], [compare_reports(one, other, "b")], "Made by a test.")
     assert "<script>" not in page
     assert page.index(">better<") < page.index("&lt;script&gt;worse")
     for text in ("3 of 4", "1 of 4", "10.0 ms", "20.0 ms", "0.25 s", "McNemar", "banana, plate"):

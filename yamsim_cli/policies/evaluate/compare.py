@@ -25,8 +25,8 @@ def read_compared_reports(others: Sequence[str], settings: Mapping[str, Any]) ->
     Raises UsageError if a report is unreadable, or of other trials.
     """
     reports = {name: read_report(Path(name)) for name in others if name.endswith(".json")}
-    for report in reports.values():
-        require_same_trials(settings, report)
+    for name, report in reports.items():
+        require_same_trials(settings, report, name)
     return reports
 
 
@@ -44,7 +44,7 @@ def compare_with_others(
     """
     found = [known.get(name) or run(name) for name in others]
     if found:
-        report["compared"] = [compare_reports(report, other) for other in found]
+        report["compared"] = [compare_reports(report, other, name) for name, other in zip(others, found, strict=True)]
     return found
 
 
@@ -98,25 +98,24 @@ def read_report(path: Path) -> dict[str, Any]:
     return found
 
 
-def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any]) -> None:
-    """Refuse two evaluations that differ in task, rig, grasp, arms or seed."""
+def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any], name: str) -> None:
+    """Refuse two evaluations that differ in task, rig, grasp, arms or seed; `name` is that of `--compare`."""
     for key in _SHARED_KEYS:
         if expected[key] != report[key]:
             raise UsageError(
-                f"--compare {report['policy']}: its {key} is {report[key]}, not {expected[key]}: "
-                "trials cannot be paired"
+                f"--compare {name}: its {key} is {report[key]}, not {expected[key]}: trials cannot be paired"
             )
 
 
-def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
+def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any], name: str) -> dict[str, Any]:
     """Compare two reports trial by trial, and return counts of successes as JSON data.
 
+    `name` is that of `--compare`, a policy or a file, for error messages.
     `policy` and `success_rate` are of the second report. `difference` is the success rate of the first report minus
     that of the second, with its 95 % interval `difference95` and McNemar's exact `p_value`. `settings_differ` has each
     setting with unequal values, as [first, second].
     """
-    name = second["policy"]
-    require_same_trials(first, second)
+    require_same_trials(first, second, name)
     one, other = ({(trial["seed"], trial["trial"]): trial for trial in report["trials"]} for report in (first, second))
     if one.keys() != other.keys():
         raise UsageError(
@@ -130,7 +129,7 @@ def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict
         which = {(True, True): "both", (True, False): "only_first", (False, True): "only_second"}.get(good, "neither")
         counts[which] += 1
     return {
-        "policy": name,
+        "policy": second["policy"],
         "success_rate": second["stats"]["success_rate"],
         "n": len(one),
         **counts,

@@ -96,4 +96,5 @@ def evaluate_and_compare(
 def compare_report_files(names: Sequence[str]) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Return the first report `FILE.json` with `compared`, and the other reports."""
     first, *others = (read_report(Path(name)) for name in names)
-    return first | {"compared": [compare_reports(first, other) for other in others]}, others
+    pairs = zip(others, names[1:], strict=True)
+    return first | {"compared": [compare_reports(first, other, name) for other, name in pairs]}, others
