@@ -14,6 +14,7 @@ from tests.rig_scenes import plant, rig_scene, swings
 from tests.truth_photos import CAMERA
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rendering import RenderConfig
+from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.dataset.dataset_paths import image_path, lowdim_path
 from yamsim_cli.core.dataset.lowdim import dump_frame
@@ -22,6 +23,7 @@ from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import invert_pose
 from yamsim_cli.core.images.jpeg import decode_jpeg
+from yamsim_cli.core.recorded_motion import RecordedMotion
 from yamsim_cli.gap_photos.photo_comparison import (
     PhotoRequest,
     compare_photos,
@@ -29,6 +31,7 @@ from yamsim_cli.gap_photos.photo_comparison import (
     postures_at,
     select_photos,
 )
+from yamsim_cli.photos.overlay.photos import PlacedCamera
 from yamsim_cli.real.gap.gap_figures import MotionGap, measure_gap
 
 TIMES = np.arange(12) * 0.064
@@ -109,6 +112,35 @@ def test_a_board_says_where_a_camera_stood_that_nobody_recorded(
     assert report["photos"] == 2 and report["outline_px"]["worst"] < 1
     with pytest.raises(ConfigError, match="320 x 240"):
         _compare(other, locations, PhotoRequest(10, CameraModel.from_focal_length(320, 240, 300.0)))
+
+
+@pytest.mark.slow
+@pytest.mark.render
+def test_a_calibration_says_where_the_arm_is_and_by_how_much_its_joints_and_pictures_are_off(
+    photographed: MotionGap, locations: Locations
+) -> None:
+    offsets, delay = np.radians([0.0, 1.5, -1.0, 2.0, 0.0, 0.0]), float(TIMES[1])
+
+    def off(motion: RecordedMotion) -> RecordedMotion:
+        """Each photo shows what is measured one sample before its time, and joints have offsets."""
+        (arm,) = motion.arms
+        return replace(motion, arms=(replace(arm, joints=arm.joints[np.r_[1 : len(TIMES), -1]] + offsets),))
+
+    late = replace(photographed, motion=off(photographed.motion), simulated=off(photographed.simulated))
+    # What the frames record of the camera is not used.
+    base = load_config(RigConfig, "rigs", "single", locations).T_base_in_world(0)
+    placed = PlacedCamera(CAMERA, (invert_pose(VIEW) @ base,), (offsets,), delay)
+    worst = {}
+    for name, used in {
+        "all": placed,
+        "no offsets": replace(placed, offsets=(np.zeros(6),)),
+        "no delay": replace(placed, delay=0.0),
+    }.items():
+        report, _ = _compare(late, locations, PhotoRequest(10, placed=used))
+        assert report["photos"] == len(TAKEN)
+        worst[name] = report["measured_outline_px"]["worst"]
+    assert worst["all"] < 1 < 1.5 < worst["no offsets"]
+    assert worst["no delay"] > worst["all"]
 
 
 @pytest.mark.render

@@ -176,3 +176,18 @@ def load_calibration(path: Path, locations: Locations) -> Calibration:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
         raise ConfigError(f"{path} cannot be read: {reason}; give a calibration.yaml of `yamsim calibrate`") from error
     return parse_config(Calibration, text, str(path), locations)
+
+
+def load_placed_camera(
+    path: Path, camera: str | None, rig: RigConfig, locations: Locations
+) -> tuple[str, PlacedCamera]:
+    """Return the name and place of a calibration's camera: that of `path`, written FILE:CAMERA, or `camera`.
+
+    Raises:
+        ConfigError: the calibration is not valid.
+        UsageError: it is of another rig, or not exactly one camera fits.
+    """
+    file, _, name = str(path).partition(".yaml:")
+    found = load_calibration(Path(f"{file}.yaml") if name else path, locations).for_rig(rig, "--calibration")
+    chosen = found.camera(name or camera, "FILE:CAMERA")
+    return chosen.name, found.placed_camera(chosen)

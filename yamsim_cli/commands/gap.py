@@ -9,7 +9,7 @@ import typer
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.flags.output_files import Overwrite, ReportFile, require_unused_reports, write_json_report
-from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, Robot, session_opener
+from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, Robot, StationCalibration, session_opener
 from yamsim_cli.terminal.console import print_note, print_report, progress_bar
 
 if TYPE_CHECKING:
@@ -58,6 +58,7 @@ def gap(
         str | None,
         typer.Option(metavar="NAME|FILE[:CAMERA]", help="The photos' calibration, in place of the recording's own."),
     ] = None,
+    calibration: StationCalibration = None,
     episode_camera: Annotated[
         str | None, typer.Option(help="Camera whose photos are compared.  [default: the fixed camera]")
     ] = None,
@@ -76,8 +77,10 @@ def gap(
     """
     if begin is not None and end is not None and begin >= end:
         raise UsageError(f"--from {begin:g} and --to {end:g}: --from must be below --to")
-    if (camera or episode_camera) and not pictures:
-        raise UsageError("--camera and --episode-camera are for photos; give --pictures N with them")
+    if (camera or episode_camera or calibration) and not pictures:
+        raise UsageError("--camera, --calibration and --episode-camera are for photos; give --pictures N with them")
+    if camera and calibration:
+        raise UsageError("--camera and --calibration both say how the photos were taken; leave one out")
     require_unused_reports(out, html, overwrite=overwrite)
     where = session_opener.find_locations()
     settings = _choose_rig(rig, revision, robot, margin, recordings[0], where)
@@ -88,6 +91,11 @@ def gap(
 
     surroundings = load_config(SceneConfig, "scenes", "studio", where)
     model = load_config(CameraConfig, "cameras", camera, where).camera_model if camera else None
+    placed = None
+    if calibration:
+        from yamsim_cli.calibration.calibration_file import load_placed_camera
+
+        episode_camera, placed = load_placed_camera(calibration, episode_camera, settings, where)
     if pictures:
         where = session_opener.choose_gl_backend(where)
     else:
@@ -103,7 +111,7 @@ def gap(
     if pictures:
         from yamsim_cli.gap_photos.photo_comparison import PhotoRequest
 
-        request = PhotoRequest(pictures, model, episode_camera)
+        request = PhotoRequest(pictures, model, episode_camera, placed)
         report["pictures"], shown = _compare_with_photos(gaps, settings, request, surroundings, where)
     if html:
         from yamsim_cli.real.gap.report import write_gap_page

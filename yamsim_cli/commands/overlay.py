@@ -9,14 +9,13 @@ import typer
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.flags.output_files import Overwrite, require_unused_paths
-from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, session_opener
+from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, StationCalibration, session_opener
 from yamsim_cli.terminal.console import print_json, print_line, print_note, progress_bar
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.files.resources import Locations
     from yamsim_cli.photos.overlay.overlay_report import OverlayReport
-    from yamsim_cli.photos.overlay.photos import PlacedCamera
 
 
 def overlay(
@@ -33,13 +32,7 @@ def overlay(
             help="Calibration: yamsim's, or a file of OpenCV, ROS, Kalibr or raiden; else estimated from the boards.",
         ),
     ] = None,
-    calibration: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE[:CAMERA]",
-            help="calibration.yaml of `yamsim calibrate`: its camera, bases, joint offsets and delay replace boards.",
-        ),
-    ] = None,
+    calibration: StationCalibration = None,
     joints: Annotated[Path | None, typer.Option(help="Joints in rad: .npy, .yaml or a lowdim .pkl; else home.")] = None,
     episode: Annotated[
         list[Path] | None,
@@ -102,7 +95,11 @@ def overlay(
     from yamsim_cli.core.config.scene import SceneConfig
 
     model = load_config(CameraConfig, "cameras", camera, where).camera_model if camera else None
-    placed = _placed_camera(calibration, episode_camera, settings, where) if calibration else None
+    placed = None
+    if calibration:
+        from yamsim_cli.calibration.calibration_file import load_placed_camera
+
+        placed = load_placed_camera(calibration, episode_camera, settings, where)
     scene = load_config(SceneConfig, "scenes", "studio", where)
     quality = load_config(RenderConfig, "quality", "fast", where)
     session_opener.choose_gl_backend(where)
@@ -145,16 +142,6 @@ def overlay(
     else:
         _print(report)
     report.raise_for_failures()
-
-
-def _placed_camera(path: Path, camera: str | None, rig: RigConfig, locations: Locations) -> tuple[str, PlacedCamera]:
-    """Return the name and place of a calibration's camera: that of `path`, written FILE:CAMERA, or the only one."""
-    from yamsim_cli.calibration.calibration_file import load_calibration
-
-    file, _, name = str(path).partition(".yaml:")
-    found = load_calibration(Path(f"{file}.yaml") if name else path, locations).for_rig(rig, "--calibration")
-    chosen = found.camera(name or camera, "FILE:CAMERA")
-    return chosen.name, found.placed_camera(chosen)
 
 
 def _choose_rig(

@@ -33,6 +33,14 @@ Robot = Annotated[
     ),
 ]
 Margin = Annotated[float | None, typer.Option(help="Distance between the arms, m, in place of the rig's own.")]
+StationCalibration = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR|FILE[:CAMERA]",
+        help="A calibration of `yamsim calibrate`: its camera, bases, joint offsets and delay replace boards and "
+        "recorded poses.",
+    ),
+]
 ConfigOption = Annotated[
     str,
     typer.Option("--config", metavar="NAME|FILE", help="Record config: a name from configs/record/ or a YAML file."),

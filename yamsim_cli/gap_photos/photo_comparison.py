@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from ..photos.overlay.joint_files import ArmPostures
 from ..photos.overlay.outline_fit import mask_iou, score_outlines
 from ..photos.overlay.photo_arm_poses import find_arms
 from ..photos.overlay.photo_cameras import PhotoCameras
-from ..photos.overlay.photos import Photo, camera_matrix, choose_camera, frame_errors, pinhole_camera
+from ..photos.overlay.photos import Photo, PlacedCamera, camera_matrix, choose_camera, frame_errors, pinhole_camera
 from ..photos.overlay.rendered_arms import ArmRenderers
 from ..photos.picture_overlay import blend_arms, write_lines
 from ..real.gap.gap_figures import MotionGap
@@ -88,6 +89,21 @@ def _largest_joint_error(photo: RecordedPhoto) -> float:
     return max(float(np.abs(real.joints[photo.sample] - made.joints[photo.sample]).max()) for real, made in both)
 
 
+def calibrated_postures(motion: RecordedMotion, sample: int, rig: RigConfig, placed: PlacedCamera) -> ArmPostures:
+    """Return what a photo that is stamped with the time of a sample (index) shows, by the calibration's delay.
+
+    Joints are without the calibration's offsets, which replace those of the rig's revision.
+    """
+    known = np.logical_and.reduce([np.isfinite(arm.joints).all(axis=1) for arm in motion.arms])
+    times, seen = motion.times[known], motion.times[sample] - placed.delay
+    postures = {}
+    for arm, number in zip(motion.arms, rig.recording_order, strict=True):
+        joints = np.array([np.interp(seen, times, column) for column in arm.joints[known].T])
+        opening = 0.0 if arm.openings is None else float(np.interp(seen, times, np.nan_to_num(arm.openings[known])))
+        postures[number] = ArmPosture(joints, opening)
+    return placed.true_postures(tuple(postures[number] for number in range(len(rig.arms))))
+
+
 def postures_at(motion: RecordedMotion, sample: int, rig: RigConfig) -> ArmPostures:
     """Return joints and gripper opening of each arm at a sample (index) of a motion."""
     postures = {}
@@ -133,11 +149,13 @@ class PhotoRequest:
     Attributes:
         camera: calibration of all photos; None for the recorded intrinsics, or else an estimate from ArUco boards.
         name: of the camera; None for the first that is no wrist camera.
+        placed: the calibration of the camera and the arms, which replaces `camera`, boards and recorded poses.
     """
 
     max_photos: int
     camera: CameraModel | None = None
     name: str | None = None
+    placed: PlacedCamera | None = None
 
 
 @dataclass(frozen=True)
@@ -175,7 +193,7 @@ def compare_photos(
     with ArmRenderers(rig, scene, quality, locations) as renderers:
         for k, one in enumerate(chosen):
             progress(k, len(chosen))
-            if compared := _compare_photo(one, camera, rig, lenses, renderers):
+            if compared := _compare_photo(one, camera, rig, request.placed, lenses, renderers):
                 figures.append(compared)
                 found = sorted([*found, compared], key=_error_rank, reverse=True)[:_MAX_SHOWN_PHOTOS]
         progress(len(chosen), len(chosen))
@@ -188,19 +206,29 @@ def compare_photos(
 
 
 def _compare_photo(
-    recorded: RecordedPhoto, camera: str, rig: RigConfig, lenses: PhotoCameras, renderers: ArmRenderers
+    recorded: RecordedPhoto,
+    camera: str,
+    rig: RigConfig,
+    placed: PlacedCamera | None,
+    lenses: PhotoCameras,
+    renderers: ArmRenderers,
 ) -> PhotoGap | None:
-    """Compare one photo; None if neither its frame nor a board gives the camera's pose."""
+    """Compare one photo; None if neither a calibration, nor its frame, nor a board gives the camera's pose."""
     image = read_image(recorded.path)
-    photo = make_photo(recorded, camera, rig, image)
+    postures_of = postures_at if placed is None else partial(calibrated_postures, placed=placed)
+    if placed is None:
+        photo = make_photo(recorded, camera, rig, image)
+    else:
+        shown = postures_of(recorded.gap.simulated, recorded.sample, rig)
+        photo = Photo(recorded.path, placed.camera, shown, "episode", placed=placed)
     lens, grey = lenses.camera_of(photo, image), to_grey(image)
     result = find_arms(rig, photo, grey, lens, trust_margin=False)
     if not result.base_poses:
         return None
     renderer = renderers.renderer_for(lens.camera)
-    renderer.set_poses(result.base_poses, postures_at(recorded.gap.motion, recorded.sample, rig))
+    renderer.set_poses(result.base_poses, postures_of(recorded.gap.motion, recorded.sample, rig))
     measured, measured_mask = score_outlines(result, renderer, grey), renderer.undistorted_label_image() > 0
-    renderer.set_poses(result.base_poses, postures_at(recorded.gap.simulated, recorded.sample, rig))
+    renderer.set_poses(result.base_poses, postures_of(recorded.gap.simulated, recorded.sample, rig))
     simulated, iou = (
         score_outlines(result, renderer, grey),
         mask_iou(renderer.undistorted_label_image() > 0, measured_mask),
