@@ -33,6 +33,9 @@ _LOWEST, _HIGHEST = 5.0, 89.0  # degrees above the horizontal, between which a l
 _TRIM = 0.9  # share of pixels that the fit keeps: highlights and wrong outlines are no shading
 _SATURATED = 250  # of 255, above which a photo's colour is no measure of the light
 _EDGE_PX = 2  # px, border of the arms that is left out
+# Least ratio of the table's brightness in directional and in ambient light, as a share of that on the arms. Without it,
+# a direction costs nothing that casts the arms' shadows where the table has none. Tone curves make shadows lighter.
+_MIN_SHADOW_DEPTH = 0.6
 _MIN_PIXELS = 50  # of the arms, without which the light is unknown
 
 _Place = tuple[float, float]  # elevation above the horizontal, and azimuth, of a light, degrees
@@ -149,7 +152,8 @@ def _fit(
     made = columns[0] * strengths[:, 0] + columns[1] * strengths[:, 1] + columns[2] * HEADLIGHT
     arm_error = float(np.abs(seen - np.clip(made, 0, 255)).mean())
     light = Light(tuple(strengths[:, 0]), tuple(strengths[:, 1]), direction, (HEADLIGHT,) * 3)
-    return LightFit(light, arm_error, _table_error(surfaces)), _table_error(blurred)
+    least = _MIN_SHADOW_DEPTH * strengths[:, 1] / np.maximum(strengths[:, 0], 1e-9)
+    return LightFit(light, arm_error, _table_error(surfaces, least)), _table_error(blurred, least)
 
 
 def _blurred(image: Image, region: NDArray[np.bool_]) -> Array:
@@ -178,14 +182,22 @@ def _fit_channel(seen: Array, ambient: Array, diffuse: Array, headlight: Array) 
     return float(strengths[0]), float(strengths[1])
 
 
-def _table_error(surfaces: Sequence[Sequence[Array]]) -> float:
+def _table_error(surfaces: Sequence[Sequence[Array]], least: Array) -> float:
     """Return the mean difference of the table's colours to those of an evenly coloured table, of 255.
 
-    Its brightness in ambient and in directional light is fitted. Only the place of shadows counts, not their depth.
+    Its brightness in ambient and in directional light is fitted. The place of shadows counts, and their depth only if
+    their ratio is below `least` (3,), for each colour.
     """
     seen, ambient, diffuse = (np.concatenate(parts) for parts in zip(*surfaces, strict=True))
     if not len(seen):
         return 0.0
     none = np.zeros(len(seen))
-    levels = np.array([_fit_channel(seen[:, k], ambient[:, k], diffuse[:, k], none) for k in range(3)])
-    return float(np.abs(seen - ambient * levels[:, 0] - diffuse * levels[:, 1]).mean())
+    made = np.empty_like(seen)
+    for k in range(3):
+        level, lit = _fit_channel(seen[:, k], ambient[:, k], diffuse[:, k], none)
+        if lit < least[k] * level:
+            column = ambient[:, k] + least[k] * diffuse[:, k]
+            level = _fit_channel(seen[:, k], column, none, none)[0]
+            lit = least[k] * level
+        made[:, k] = ambient[:, k] * level + diffuse[:, k] * lit
+    return float(np.abs(seen - made).mean())
