@@ -29,6 +29,7 @@ from yamsim_cli import ChunkWindows, ShuffledBatches, open_dataset
 SCENE_CAMERA = "scene_camera"
 # Left, top, right and bottom edge as shares of the image: the table, seen by the rig `single`.
 CROP = (0.125, 0.29, 0.875, 0.96)
+Crop = tuple[float, float, float, float]
 CHUNK = 32  # actions of 64 ms in an answer
 TICKS = 2  # control ticks of an action: two for each frame of a dataset
 CHANNELS, MAPS, WIDTH = 32, 32, 512  # channels of convolutions and of the last one, outputs of linear layers
@@ -128,10 +129,10 @@ class PictureNet(nn.Module):
         return self.head(torch.cat([self.softmax(maps.float()), joints], dim=1)).unflatten(1, (CHUNK, -1))
 
 
-def crop(images: np.ndarray) -> np.ndarray:
-    """Return the part of images (..., height, width, 3) that shows the table."""
+def cropped(images: np.ndarray, crop: Crop) -> np.ndarray:
+    """Return a part of images (..., height, width, 3); `crop` is as `CROP`."""
     height, width = images.shape[-3:-1]
-    left, top, right, bottom = (round(share * size) for share, size in zip(CROP, (width, height) * 2, strict=True))
+    left, top, right, bottom = (round(share * size) for share, size in zip(crop, (width, height) * 2, strict=True))
     return images[..., top:bottom, left:right, :]
 
 
@@ -160,15 +161,23 @@ def windows_at(datasets: Sequence[ChunkWindows], rows: np.ndarray) -> dict[str, 
 
 
 def train(
-    demos: Sequence[Path], out: Path, *, steps: int, seed: int, episodes: int | None = None, batch: int = BATCH
+    demos: Sequence[Path],
+    out: Path,
+    *,
+    steps: int,
+    seed: int,
+    episodes: int | None = None,
+    batch: int = BATCH,
+    camera: str = SCENE_CAMERA,
+    crop: Crop = CROP,
 ) -> float:
     """Train on the first `episodes` of each dataset, write weights to `out`, and return the mean of the last losses."""
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
-    datasets = [ChunkWindows(open_dataset(path)[:episodes], [SCENE_CAMERA], chunk=CHUNK) for path in demos]
+    datasets = [ChunkWindows(open_dataset(path, who="expert")[:episodes], [camera], chunk=CHUNK) for path in demos]
     frames = sum(len(one) for one in datasets)
     scaling, first = Scaling.of(datasets), datasets[0][0]
-    height, width = crop(first[SCENE_CAMERA]).shape[:2]
+    height, width = cropped(first[camera], crop).shape[:2]
     net = PictureNet(height, width, first["joints"].size, first["action"].shape[-1])
     net = net.to(memory_format=torch.channels_last)
     averaged = copy.deepcopy(net)
@@ -183,7 +192,7 @@ def train(
             joints = (torch.from_numpy(window["joints"]) - scaling.joint_mean) / scaling.joint_deviation
             joints = joints + JOINT_NOISE * torch.randn(joints.shape, generator=generator)
             wanted = (torch.from_numpy(window["action"]) - scaling.action_mean) / scaling.action_deviation
-            image = augment(to_input(crop(window[SCENE_CAMERA])), generator)
+            image = augment(to_input(cropped(window[camera], crop)), generator)
             answer = net(image.contiguous(memory_format=torch.channels_last), joints)
             loss = nn.functional.l1_loss(answer, wanted)
             optimizer.zero_grad()
@@ -204,7 +213,8 @@ def train(
                 )
             if done == steps:
                 break
-    torch.save({"weights": averaged.state_dict(), "scaling": vars(scaling), "shape": (height, width)}, out)
+    stored = {"weights": averaged.state_dict(), "scaling": vars(scaling), "shape": (height, width), "crop": crop}
+    torch.save(stored, out)
     return float(np.mean(losses[-100:]))
 
 
@@ -217,7 +227,7 @@ class PicturePolicy:
     def __init__(self, weights: str) -> None:
         stored = torch.load(weights, weights_only=True)
         height, width = stored["shape"]
-        self._scaling, self._shape = Scaling(**stored["scaling"]), (height, width)
+        self._scaling, self._shape, self._crop = Scaling(**stored["scaling"]), (height, width), stored["crop"]
         drives, numbers = len(self._scaling.joint_mean), len(self._scaling.action_mean)
         self._net = PictureNet(height, width, drives, numbers).eval()
         self._net.load_state_dict(stored["weights"])
@@ -228,7 +238,7 @@ class PicturePolicy:
 
     def __call__(self, observation: Mapping[str, Any]) -> dict[str, Any]:
         """Return a chunk of commands and welds."""
-        image = crop(observation["scene_rgb"])
+        image = cropped(observation["scene_rgb"], self._crop)
         if (shape := image.shape[:2]) != self._shape:
             raise ValueError(f"the cropped image is {shape}, in training {self._shape}: give --trained-on")
         scaling = self._scaling
@@ -250,9 +260,21 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=4000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--camera", default=SCENE_CAMERA, help="the scene camera's name in the datasets")
+    parser.add_argument(
+        "--crop", type=float, nargs=4, default=CROP, metavar="SHARE", help="left, top, right and bottom edge, 0 to 1"
+    )
     given = parser.parse_args()
     torch.set_num_threads(given.threads)
-    train(given.demos, given.out, steps=given.steps, seed=given.seed, episodes=given.episodes)
+    train(
+        given.demos,
+        given.out,
+        steps=given.steps,
+        seed=given.seed,
+        episodes=given.episodes,
+        camera=given.camera,
+        crop=tuple(given.crop),
+    )
 
 
 if __name__ == "__main__":
