@@ -38,11 +38,12 @@ POUR_AHEAD, POUR_BESIDE = 0.33, -0.08
 
 #: Position of that origin, m, for scooping: the left arm reaches the tool, the pile and the container, which lies up to
 #: 0.32 m to the right of the origin.
-SCOOP_AHEAD, SCOOP_BESIDE = 0.33, 0.30
+SCOOP_AHEAD, SCOOP_BESIDE = 0.29, 0.28
 
 _STEP = 0.002  # m, of displacements
 _RACK_GAP = 0.005  # m, between a rack and a displaced object
 _BESIDE_GAP = 0.03  # m, between a container and its lid beside it, and between a vessel and what stands beside it
+_WRIST_GAP = 0.06  # m, between a dish and the container beside it: the wrist's camera passes there
 _WALL_THICKNESS = 0.005  # m, thickness of a tray's walls
 _FINGER_CLEARANCES = (0.010, 0.003)  # m, between a wall and a displaced object, in the order tried
 _MAX_OVERLAP_SHIFT = 0.02  # m, accepted displacement to avoid an overlap with another object
@@ -101,8 +102,8 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
     if blueprint.target_kind == POUR:
         _put_beside(places, room, blueprint.roles["source"][0], blueprint.roles["vessel"][0])
     if blueprint.target_kind == SCOOP:
-        for role in ("tool", "container"):
-            _put_beside(places, room, blueprint.roles[role][0], blueprint.roles["substance"][0])
+        for role, gap in (("tool", _BESIDE_GAP), ("container", _WRIST_GAP)):
+            _put_beside(places, room, blueprint.roles[role][0], blueprint.roles["substance"][0], gap)
     for tray in blueprint.roles.get("tray", ()):
         middles = [item.x_cm / 100 for item in blueprint.objects if item.parent == tray]
         for name in places:
@@ -116,8 +117,10 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
     return places
 
 
-def _put_beside(places: dict[str, Array], room: Mapping[str, Array], name: str, other: str) -> None:
-    """Displace an object along y until its footprint is `_BESIDE_GAP` or more from that of `other`.
+def _put_beside(
+    places: dict[str, Array], room: Mapping[str, Array], name: str, other: str, gap: float = _BESIDE_GAP
+) -> None:
+    """Displace an object along y until its footprint is `gap` or more from that of `other`, m.
 
     A lid on its container would count as sealed, and a source must not stand in the vessel.
     """
@@ -125,7 +128,7 @@ def _put_beside(places: dict[str, Array], room: Mapping[str, Array], name: str, 
     away = math.copysign(_STEP, T[1, 3] - places[other][1, 3])
     while (
         footprint_distance(footprint_corners(room[name], T), footprint_corners(room[other], places[other]))
-        < _BESIDE_GAP
+        < gap
     ):
         T[1, 3] += away
 

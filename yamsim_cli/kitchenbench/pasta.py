@@ -34,10 +34,11 @@ _CARTON_ASSET, _CARTON_WALL, _CARTON_MASS = "pasta_box", 1.5, 30.0  # asset of a
 _PILE_GRAMS = 240.0
 _MAX_SCOOPED_PIECES = 36  # of a pile; a trial of 40 s takes up to a minute of a core
 # object config whose material the dish has, and its mass, g: a tool pushes a lighter one away
+_SCOOPED_FRICTION = 0.35
 _DISH_CONFIG, _DISH_GRAMS = "kitchen_container", 700.0
 # mm, of the dish that holds a pile: wide enough for the fingers beside a measuring cup, and low enough for the handle of
 # a spoon. At the start, the pieces lie at one end, so that a tool goes down beside them.
-_DISH_SIZES = {"size_mm": [150.0, 230.0, 32.0], "wall_mm": 4.0, "corner_mm": 10.0, "taper_mm": 0.0}
+_DISH_SIZES = {"size_mm": [156.0, 230.0, 36.0], "wall_mm": 6.0, "corner_mm": 10.0, "taper_mm": 0.0}
 
 
 def is_pile(item: SceneObject) -> bool:
@@ -58,8 +59,10 @@ def pasta_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
     """
     if is_pile(item):
         base = load_config(ObjectConfig, "objects", _DISH_CONFIG, locations).with_name(item.name)
-        return with_shape(base, {**shape_data(base), **_DISH_SIZES, "mass_g": _DISH_GRAMS})
+        return _smooth(with_shape(base, {**shape_data(base), **_DISH_SIZES, "mass_g": _DISH_GRAMS}))
     base = object_config_of(item, blueprint.conditions, locations, nests=False)
+    if blueprint.target_kind == SCOOP:
+        return _smooth(base)
     if item.asset != _CARTON_ASSET:
         return base
     data = shape_data(base)
@@ -80,8 +83,17 @@ def fillings_of(blueprint: SceneBlueprint, locations: Locations) -> dict[str, Fi
         if STRAND_CONDITION in blueprint.conditions:
             length = 10.0 * float(blueprint.conditions[STRAND_CONDITION])
             piece = with_shape(piece, {**shape_data(piece), "length_mm": length})
-        found[item.parent or item.name] = Filling(of=_thick_enough(piece, grams, most), grams=grams, max_pieces=most)
+        piece = _thick_enough(piece, grams, most)
+        if is_pile(item):
+            piece = _smooth(piece)
+        found[item.parent or item.name] = Filling(of=piece, grams=grams, max_pieces=most)
     return found
+
+
+def _smooth(item: ObjectConfig) -> ObjectConfig:
+    """Return an object on which pasta slides as on steel. MuJoCo takes the larger friction of two objects."""
+    friction = (_SCOOPED_FRICTION, *item.contact.friction[1:])
+    return item.model_copy(update={"contact": item.contact.model_copy(update={"friction": friction})})
 
 
 def _solid_piece(asset: str, locations: Locations) -> ObjectConfig:

@@ -33,12 +33,13 @@ _SPOON_STROKE = (
     (-0.050, 0.130, 10),
 )  # fmt: skip
 _CUP_STROKE = (
-    (-0.155, 0.080, 118), (-0.155, 0.002, 118), (-0.100, -0.002, 104), (-0.030, -0.002, 98), (-0.012, 0.002, 88),
-    (-0.012, 0.030, 65), (-0.050, 0.130, 65),
+    (-0.150, 0.060, 118), (-0.150, 0.001, 118), (-0.090, 0.000, 104), (-0.012, 0.000, 97), (-0.004, 0.001, 86),
+    (-0.004, 0.033, 65), (-0.030, 0.130, 60),
 )  # fmt: skip
 _SPOON_LEANS = tuple(math.radians(angle) for angle in (0, 15, -15, 30, -30, 45, -45))  # rad, of the hand along the spoon
 # Directions from which a hand may grasp a cup: pads lie flat on its collision boxes.
 _CUP_AZIMUTHS = 8
+_CUP_SHARES = (0.5, 0.6, 0.7)  # heights of that hand, as shares of the cup's height: near its centre of mass
 _SPOON_FORCE, _SPOON_CLEARANCE = 18.0, 0.010  # N of each finger; m, additional opening before closing
 # rad, from the heading of a stroke to that of the spoon over a vessel, in the order tried
 _RELEASE_TURNS = tuple(math.radians(turn) for turn in (0, -30, 30, -60, 60, -90, 90, 120, -120, 150, -150, 180))
@@ -119,7 +120,7 @@ def tool_grasps(config: ObjectConfig) -> Iterator[GraspCandidate]:
     if isinstance(config.shape, CutleryShape):
         yield from _handle_grasps(config)
     else:
-        yield from grasps_from_side(config, _CUP_AZIMUTHS)
+        yield from grasps_from_side(config, _CUP_AZIMUTHS, _CUP_SHARES)
 
 
 def _handle_grasps(config: ObjectConfig) -> Iterator[GraspCandidate]:

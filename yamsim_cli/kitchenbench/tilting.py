@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,10 +93,12 @@ class HeldSource:
     piece_length: float
 
 
-def grasps_from_side(source: ObjectConfig, azimuths: int = _GRASP_AZIMUTHS) -> Iterator[GraspCandidate]:
+def grasps_from_side(
+    source: ObjectConfig, azimuths: int = _GRASP_AZIMUTHS, shares: Sequence[float] = _GRASP_SHARES
+) -> Iterator[GraspCandidate]:
     """Yield grasps of a source from the side, for hands that point horizontally or somewhat down."""
     shape = source.shape
-    for share, tilt in itertools.product(_GRASP_SHARES, _GRASP_TILTS):
+    for share, tilt in itertools.product(shares, _GRASP_TILTS):
         down = math.radians(tilt)
         if isinstance(shape, VesselShape):
             count = azimuths
