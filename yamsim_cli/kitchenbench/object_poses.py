@@ -38,7 +38,7 @@ POUR_AHEAD, POUR_BESIDE = 0.33, -0.08
 
 #: Position of that origin, m, for scooping: the left arm reaches the tool, the pile and the container, which lies up to
 #: 0.32 m to the right of the origin.
-SCOOP_AHEAD, SCOOP_BESIDE = 0.29, 0.28
+SCOOP_AHEAD, SCOOP_BESIDE = 0.28, 0.31
 
 _STEP = 0.002  # m, of displacements
 _RACK_GAP = 0.005  # m, between a rack and a displaced object

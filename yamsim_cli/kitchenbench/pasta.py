@@ -83,7 +83,7 @@ def fillings_of(blueprint: SceneBlueprint, locations: Locations) -> dict[str, Fi
         if STRAND_CONDITION in blueprint.conditions:
             length = 10.0 * float(blueprint.conditions[STRAND_CONDITION])
             piece = with_shape(piece, {**shape_data(piece), "length_mm": length})
-        piece = _thick_enough(piece, grams, most)
+        piece = _thick_enough(piece, grams, most, is_pile(item))
         if is_pile(item):
             piece = _smooth(piece)
         found[item.parent or item.name] = Filling(of=piece, grams=grams, max_pieces=most)
@@ -105,14 +105,16 @@ def _solid_piece(asset: str, locations: Locations) -> ObjectConfig:
     return with_shape(piece, {**data, "wall_mm": 0.0, "slant_deg": 0.0, "ridges": 0})
 
 
-def _thick_enough(piece: ObjectConfig, grams: float, most: int) -> ObjectConfig:
+def _thick_enough(piece: ObjectConfig, grams: float, most: int, thinner: bool) -> ObjectConfig:
     """Return a piece so thick that `most` of them weigh `grams`, if thinner ones would be too many.
+
+    With `thinner`, also a thicker piece gets as thin as that.
 
     Longer pieces would wedge themselves between the walls of a carton, which are 37 mm apart: one of 70 mm can lean by
     26 degrees at most there, and friction (0.8) holds a piece that leans by less than 39 degrees.
     """
     factor = math.sqrt(grams / (most * piece.inertia.mass_g))
-    if factor <= 1.0:
+    if factor <= 1.0 and not thinner:
         return piece
     data = shape_data(piece)
     return with_shape(piece, {**data, "diameter_mm": round(factor * data["diameter_mm"], _DIAMETER_DIGITS)})

@@ -24,21 +24,21 @@ from .scoop_strokes import ScoopTool, pieces_on, plan_knots, plan_release, strok
 from .tilting import TICKS, HeldSource, Tilt, tilt_path
 
 _LIFT = 0.05  # m
-_JOINT_STEP = 0.5  # rad, largest change of a joint in an action of a stroke or on the way
+_JOINT_STEP = 0.65  # rad, largest change of a joint in an action of a stroke or on the way
 _ASIDE = (0.0, 0.008, -0.008, 0.016, -0.016)  # m, of a stroke from the middle of the dish
 _ENOUGH_TILT = math.radians(120)  # rad, of a cup over the container, after which no other grasp is tried
-_POUR_STEP = math.radians(15)  # rad, of a cup's tilt in an action
+_POUR_STEP = math.radians(20)  # rad, of a cup's tilt in an action
 _MAX_SCOOPS = 14
 _MAX_EMPTY = 4  # scoops in a row that bring nothing, after which the expert gives up
 
 
 @dataclass(frozen=True)
 class _Stroke:
-    """A stroke: joints (n, dof) of its poses, and its heading, rad."""
+    """A stroke: joints (n, dof) of its poses, its heading, rad, and its distance from the middle of the dish, m."""
 
     joints: Array
     heading: float
-    score: float
+    aside: float
 
 
 class Scoop(Skill):
@@ -119,6 +119,7 @@ class _Job:
         self.context, self.tool_name, self.source, self.into, self.pieces = context, tool, source, into, pieces
         self.hand: Hand
         self.tool: ScoopTool
+        self.failed: set[tuple[float, float]] = set()
 
     def use(self, hand: Hand, tool: ScoopTool | None) -> None:
         assert tool is not None
@@ -147,13 +148,13 @@ class _Job:
             for aside in _ASIDE:
                 near = np.abs(left - aside) < self.tool.half_width
                 score = int((near & (along > 0.0)).sum()) - int((near & (along < -0.03)).sum())
-                options.append((score, heading, aside))
+                options.append((score - 6 * ((heading, aside) in self.failed), heading, aside))
         options.sort(key=lambda one: (-one[0], abs(one[2])))
         for score, heading, aside in options:
             poses = self.tool.stroke(dish, T_dish, heading, aside)
             rows = plan_knots(context, self.hand, opening, load, poses, joints)
             if len(rows) == len(poses):
-                return _Stroke(rows, heading, score)
+                return _Stroke(rows, heading, aside)
         return None
 
     def release(
@@ -176,7 +177,9 @@ class _Job:
         held = context.measure_held_object(hand)
         carried = self.carried()
         if not carried:
+            self.failed.add((stroke.heading, stroke.aside))
             return
+        self.failed.clear()
         if carried > missing + tolerance:
             back = self.release(self.source, held.T_thing_in_pinch, hand.joints, hand.opening, stroke.heading)
             if back is None:
@@ -200,9 +203,9 @@ class _Job:
     def tilt(self, tilt: Tilt, is_done) -> Iterator[MotionSegment]:
         first, largest = float(tilt.angles[0]), float(tilt.angles[-1])
         angle = first
-        step = math.radians(38) if self.tool.is_spoon else _POUR_STEP
+        step = math.radians(45) if self.tool.is_spoon else _POUR_STEP
         waits = 0
-        while not is_done() and waits < 3:
+        while not is_done() and waits < 2:
             if not self.tool.is_spoon:
                 self.pieces.weigh()
             goal = min(angle + step, largest)
@@ -211,10 +214,6 @@ class _Job:
             else:
                 waits += 1
                 yield self.context.wait_segment(TICKS)
-            angle = goal
-        while angle > first:
-            goal = max(first, angle - 3 * step)
-            yield self.context.make_segment({self.hand: tilt_path(tilt, angle, goal)}, wait_for_arrival=False)
             angle = goal
 
     def travel(self, joints: Array) -> Iterator[MotionSegment]:

@@ -49,7 +49,8 @@ _SPOON_ANGLES = tuple(math.radians(angle) for angle in range(0, 106, 15))
 _CUP_ANGLES = tuple(math.radians(angle) for angle in range(65, 146, 10))
 # rad, of the largest tilt: the least that a grasp has to allow, and that after which no other way is tried
 _SPOON_RELEASE = math.radians(60), math.radians(90)
-_CUP_RELEASE = math.radians(115), math.radians(135)
+_CUP_RELEASE = math.radians(115), math.radians(125)
+_WAY_COST = 0.3  # rad of tilt that a way longer by 1 rad has to gain
 _LIP_BEHIND, _LIP_GAP = 0.02, 0.025  # m, of a cup's lip behind the vessel's middle, and from the cup to the rim
 # m, of the spoon's tip: behind the vessel's middle and over its rim, and the same for a spoon that rolls to a side
 _TIP_BEHIND, _TIP_OVER, _TIP_AHEAD, _SIDE_OVER = 0.015, 0.03, 0.025, 0.035
@@ -125,7 +126,7 @@ def tool_grasps(config: ObjectConfig) -> Iterator[GraspCandidate]:
 
 def _handle_grasps(config: ObjectConfig) -> Iterator[GraspCandidate]:
     assert config.grasp is not None and config.grasp.friction is not None, "cutlery can be grasped"
-    points = sorted(config.grasp.friction.points, key=lambda point: point.position[1])
+    points = sorted(config.grasp.friction.points, key=lambda point: abs(point.position[1] - config.inertia.centre[1]))
     for point, lean, turned in itertools.product(points, _SPOON_LEANS, (False, True)):
         T = point.T_pinch_in_object(turned) @ pose(rotation=rotation_from_vector((0.0, lean, 0.0)))
         yield GraspCandidate(T, point.opening, _SPOON_CLEARANCE, _SPOON_FORCE)
@@ -163,7 +164,7 @@ def plan_release(
 
     A spoon tilts down by its tip, or to a side. A cup tilts further forward.
     """
-    best: Tilt | None = None
+    best: tuple[float, Tilt] | None = None
     for turn, roll in itertools.product(_RELEASE_TURNS, _ROLLS if tool.is_spoon else (0,)):
         if tool.is_spoon:
             angles, poses = _SPOON_ANGLES, _spoon_release(context, tool, vessel, heading + turn, roll)
@@ -172,11 +173,13 @@ def plan_release(
         rows = plan_knots(context, source.hand, source.opening, source.load, poses, source.joints)
         largest = angles[len(rows) - 1] if len(rows) else 0.0
         least, enough = _SPOON_RELEASE if tool.is_spoon else _CUP_RELEASE
-        if largest >= least and (best is None or largest > best.angles[-1]):
-            best = Tilt(np.array(angles[: len(rows)]), rows, rows[-1], 0.0, False)
-            if largest >= enough:
-                break
-    return best
+        if largest < least:
+            continue
+        # A near start saves actions.
+        score = min(largest, enough) - _WAY_COST * float(np.abs(rows[0] - source.joints).max())
+        if best is None or score > best[0]:
+            best = score, Tilt(np.array(angles[: len(rows)]), rows, rows[-1], 0.0, False)
+    return None if best is None else best[1]
 
 
 def _spoon_release(context: PlanningContext, tool: ScoopTool, vessel: str, heading: float, roll: int) -> list[Array]:
