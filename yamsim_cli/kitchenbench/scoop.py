@@ -12,7 +12,9 @@ from pydantic import FiniteFloat
 
 from ..core.attempt_data import FailureCause
 from ..core.config.goals.role_assignment import RoleAssignment
+from ..core.config.goals.world import TABLE
 from ..core.expert.planning.collision_checker import AttachedObject
+from ..core.expert.skills.common_motions import release_and_retreat, rest_segment
 from ..core.expert.skills.hand import Hand
 from ..core.expert.skills.pick import Pick, ReachableGrasp, summarize_reasons
 from ..core.expert.skills.planning_context import MotionSegment, PlanningContext, SkillFailedError
@@ -20,12 +22,22 @@ from ..core.expert.skills.skill import Skill, find_holding_hand
 from ..core.files.documents.units import QuantityBounds
 from ..core.geometry.se3 import Array, invert_pose, rotation_from_vector, rotation_vector
 from .held_pieces import LoosePieces
-from .scoop_strokes import ScoopTool, pieces_on, plan_knots, plan_release, stroke_headings, tool_grasps, tool_of
+from .scoop_strokes import (
+    ScoopTool,
+    pieces_on,
+    plan_knots,
+    plan_laying_down,
+    plan_release,
+    stroke_headings,
+    tool_grasps,
+    tool_of,
+)
 from .tilting import TICKS, HeldSource, Tilt, tilt_path
 
 _LIFT = 0.05  # m
+_LAYING_CLEARANCE = 0.01  # m, by which each finger opens to lay the tool down
 _JOINT_STEP = 0.65  # rad, largest change of a joint in an action of a stroke or on the way
-_ASIDE = (0.0, 0.008, -0.008, 0.016, -0.016)  # m, of a stroke from the middle of the dish
+_ASIDE = (0.0, 0.008, -0.008, 0.016, -0.016, 0.03, -0.03, 0.045, -0.045)  # m, of a stroke from the middle of the dish
 _ENOUGH_TILT = math.radians(120)  # rad, of a cup over the container, after which no other grasp is tried
 _POUR_STEP = math.radians(20)  # rad, of a cup's tilt in an action
 _MAX_SCOOPS = 14
@@ -39,6 +51,10 @@ class _Stroke:
     joints: Array
     heading: float
     aside: float
+
+
+class _NoStrokeError(SkillFailedError):
+    """No stroke is possible with the tool as it lies in the hand, where it turns little by little."""
 
 
 class Scoop(Skill):
@@ -62,28 +78,33 @@ class Scoop(Skill):
         missing = self.grams - pieces.grams_in(into)
         if missing <= self.tolerance:
             return
-        hand = find_holding_hand(context, tool)
-        if hand is None:
-            hand, grasp = self._find_grasp(context, job)
-            yield from Pick(thing=self.tool, lift=_LIFT).grasp_and_lift(context, hand, tool, grasp)
-        held = context.measure_held_object(hand)
-        job.use(hand, tool_of(context.object_configs[tool], invert_pose(held.T_thing_in_pinch)))
-        configs, empty = context.object_configs, 0
+        T_start, configs, empty = context.world.pose(tool), context.object_configs, 0
         try:
             for _ in range(_MAX_SCOOPS):
                 missing = self.grams - pieces.grams_in(into)
-                if missing <= self.tolerance:
+                if missing <= self.tolerance or empty == _MAX_EMPTY:
                     break
+                yield from self._take(context, job)
                 moved = pieces.grams_in(into)
-                yield from job.scoop_once(missing, self.tolerance)
+                try:
+                    yield from job.scoop_once(missing, self.tolerance)
+                except _NoStrokeError:
+                    yield from job.lay_down(T_start)
                 empty = 0 if pieces.grams_in(into) > moved else empty + 1
-                if empty == _MAX_EMPTY:
-                    raise SkillFailedError(FailureCause.GOAL, f"{_MAX_EMPTY} scoops in a row brought nothing")
         finally:
             context.object_configs = configs
         missing = self.grams - pieces.grams_in(into)
         if abs(missing) > self.tolerance:
             raise SkillFailedError(FailureCause.GOAL, f"{missing:.0f} g are missing in the {into}")
+
+    def _take(self, context: PlanningContext, job: _Job) -> Iterator[MotionSegment]:
+        """Yield the motions that grasp the tool, unless a hand holds it."""
+        hand = find_holding_hand(context, job.tool_name)
+        if hand is None:
+            hand, grasp = self._find_grasp(context, job)
+            yield from Pick(thing=self.tool, lift=_LIFT).grasp_and_lift(context, hand, job.tool_name, grasp)
+        held = context.measure_held_object(hand)
+        job.use(hand, tool_of(context.object_configs[job.tool_name], invert_pose(held.T_thing_in_pinch)))
 
     def _find_grasp(self, context: PlanningContext, job: _Job) -> tuple[Hand, ReachableGrasp]:
         picker, reasons = Pick(thing=self.tool, lift=_LIFT), dict[str, int]()
@@ -170,7 +191,7 @@ class _Job:
         T = held.T_thing_in_pinch
         stroke = self.best_stroke(T, hand.joints, hand.opening)
         if stroke is None:
-            raise SkillFailedError(FailureCause.UNREACHABLE, f"no free stroke of the {self.tool_name}")
+            raise _NoStrokeError(FailureCause.UNREACHABLE, f"no free stroke of the {self.tool_name}")
         yield from self.travel(stroke.joints[0])
         yield from self.follow(stroke.joints[1:])
         yield context.wait_segment(TICKS)
@@ -193,6 +214,20 @@ class _Job:
             raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to tilt the {self.tool_name} over the {self.into}")
         yield from self.travel(tilt.joints[0])
         yield from self.tilt(tilt, lambda: self.carried() == 0)
+
+    def lay_down(self, T_start: Array) -> Iterator[MotionSegment]:
+        """Yield the motions that lay the tool down near its first pose (4, 4), for another grasp."""
+        context, hand = self.context, self.hand
+        held = hand.held_object
+        assert held is not None
+        load = AttachedObject(self.tool_name, held.T_thing_in_pinch, (TABLE,))
+        found = plan_laying_down(context, hand, load, T_start)
+        if found is None:
+            raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to lay the {self.tool_name} down")
+        yield from self.travel(found[0])
+        yield from self.follow(np.array(found[1:]))
+        yield from release_and_retreat(context, hand, _LAYING_CLEARANCE)
+        yield rest_segment(context)
 
     def carried(self) -> float:
         T = self.context.world.pose(self.tool_name)

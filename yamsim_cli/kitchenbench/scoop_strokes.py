@@ -20,7 +20,7 @@ from ..core.expert.planning.collision_checker import AttachedObject
 from ..core.expert.skills.grasp_candidates import GraspCandidate
 from ..core.expert.skills.hand import Hand
 from ..core.expert.skills.planning_context import PlanningContext
-from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_z
+from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_vector, rotation_z
 from .tilting import HeldSource, Tilt, grasps_from_side, height_of, lip_height, opening_radius
 
 _MAX_KNOT_STEP = 1.5  # rad, of a joint between two poses of a stroke; more is another posture
@@ -29,14 +29,14 @@ _CHECKS = (0.5, 1.0)  # shares of the way between two poses at which contacts ar
 # Poses of a stroke: distance of the tip from the dish's far wall along the heading, m; its height over the dish's floor,
 # m; and the tool's angle, degrees: the spoon's pitch, and the cup's tilt.
 _SPOON_STROKE = (
-    (-0.170, 0.080, -45), (-0.170, 0.004, -45), (-0.080, 0.002, -25), (-0.015, 0.004, -18), (-0.010, 0.030, 5),
-    (-0.050, 0.130, 10),
+    (-0.170, 0.080, -45), (-0.170, 0.004, -45), (-0.080, 0.002, -25), (-0.015, 0.004, -18), (-0.010, 0.030, 8),
+    (-0.050, 0.130, 16),
 )  # fmt: skip
 _CUP_STROKE = (
     (-0.150, 0.060, 118), (-0.150, 0.001, 118), (-0.090, 0.000, 104), (-0.012, 0.000, 97), (-0.004, 0.001, 86),
     (-0.004, 0.033, 65), (-0.030, 0.130, 60),
 )  # fmt: skip
-_SPOON_LEANS = tuple(math.radians(angle) for angle in (0, 15, -15, 30, -30, 45, -45))  # rad, of the hand along the spoon
+_SPOON_LEANS = tuple(math.radians(angle) for angle in (15, 30, -15, -30))  # rad, of the hand along the spoon
 # Directions from which a hand may grasp a cup: pads lie flat on its collision boxes.
 _CUP_AZIMUTHS = 8
 _CUP_SHARES = (0.5, 0.6, 0.7)  # heights of that hand, as shares of the cup's height: near its centre of mass
@@ -50,6 +50,10 @@ _CUP_ANGLES = tuple(math.radians(angle) for angle in range(65, 146, 10))
 # rad, of the largest tilt: the least that a grasp has to allow, and that after which no other way is tried
 _SPOON_RELEASE = math.radians(60), math.radians(90)
 _CUP_RELEASE = math.radians(115), math.radians(125)
+# Shares of the roll of a spoon in its hand that stay when the hand lays it down, and turns about the vertical, rad, in
+# the order tried
+_ROLLS_LEFT, _LAYING_TURNS = (0.0, 0.5, 1.0), tuple(math.radians(turn) for turn in (0, 20, -20, 40, -40))
+_LAYING_OVER, _LAYING_RISE, _LAYING_WAY = 0.004, 0.012, 0.06  # m, from the table; more for a rolled spoon; the way down
 _WAY_COST = 0.3  # rad of tilt that a way longer by 1 rad has to gain
 _LIP_BEHIND, _LIP_GAP = 0.02, 0.025  # m, of a cup's lip behind the vessel's middle, and from the cup to the rim
 # m, of the spoon's tip: behind the vessel's middle and over its rim, and the same for a spoon that rolls to a side
@@ -206,6 +210,23 @@ def _cup_release(
         lip[2] = rim + lip_height(angle, tall, behind, _LIP_GAP)
         poses.append(tool.pose_at(lip, heading, angle))
     return poses
+
+
+def plan_laying_down(
+    context: PlanningContext, hand: Hand, load: AttachedObject, T_start: Array
+) -> tuple[Array, Array] | None:
+    """Return joints (dof,) over a place for a spoon and at it, which is its first place (4, 4) or near; None without."""
+    T_held = hand.pinch_pose(hand.joints) @ load.T_thing_in_pinch
+    upright = rotation_vector(T_start[:3, :3].T @ T_held[:3, :3])
+    for share, turn in itertools.product(_ROLLS_LEFT, _LAYING_TURNS):
+        T = T_start @ pose(rotation=rotation_z(turn) @ rotation_from_vector(share * upright * (0.0, 1.0, 0.0)))
+        T[2, 3] += _LAYING_OVER + share * _LAYING_RISE
+        T_over = T.copy()
+        T_over[2, 3] += _LAYING_WAY
+        rows = plan_knots(context, hand, hand.opening, load, (T_over, T), hand.joints)
+        if len(rows) == 2:
+            return rows[0], rows[1]
+    return None
 
 
 def _rolled(tool: ScoopTool, angle: float) -> Array:
