@@ -19,11 +19,13 @@ from kitchenbench.sim import build_blueprint
 from yamsim_cli.core.config.objects.primitives import Capsule
 from yamsim_cli.core.config.program_task import Role
 from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene, open_station_session
+from yamsim_cli.kitchenbench.expert_trial import run_expert
 from yamsim_cli.kitchenbench.pasta import describe_coarse_pieces, fillings_of, pasta_config_of
 from yamsim_cli.kitchenbench.policy import PlanningScene
-from yamsim_cli.kitchenbench.pour import Pour, lip_height
+from yamsim_cli.kitchenbench.pour import Pour
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
 from yamsim_cli.kitchenbench.success_judges import KitchenJudge
+from yamsim_cli.kitchenbench.tilting import lip_height
 from yamsim_cli.loose_pieces import loose_pieces, piece_count, stacked_poses
 
 SCENES = {scene.id: scene for scene in tasks.TASK_FACTORIES["pour_pasta"]().scenes}
@@ -136,9 +138,7 @@ def test_the_expert_pours(name: str, epoch: int, base: Any) -> None:
     try:
         judge = KitchenJudge(realized, planning.motion)
         planning.start_program([Pour(thing=source, into=vessel)], realized.simulator.roles)
-        actions = 0
-        while actions < 100 and not judge.evaluate()[0]:
-            actions += len(planning.next_actions())
+        run_expert(planning, judge, 100)
         mass = judge.world.contained_mass_g
         assert judge.evaluate()[0]
         assert mass("pasta", vessel) >= 0.8 * total

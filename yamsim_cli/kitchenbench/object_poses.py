@@ -126,10 +126,7 @@ def _put_beside(
     """
     T = places[name]
     away = math.copysign(_STEP, T[1, 3] - places[other][1, 3])
-    while (
-        footprint_distance(footprint_corners(room[name], T), footprint_corners(room[other], places[other]))
-        < gap
-    ):
+    while footprint_distance(footprint_corners(room[name], T), footprint_corners(room[other], places[other])) < gap:
         T[1, 3] += away
 
 

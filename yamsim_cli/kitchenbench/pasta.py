@@ -1,7 +1,7 @@
-"""Pasta in KitchenBench's scenes of pouring and scooping: the objects that hold it, its pieces, and how coarse they are.
+"""Pasta in KitchenBench's scenes of pouring and scooping: what holds it, its pieces, and how coarse they are.
 
-A scene of pouring names the object that is full of pasta, and gives the mass. A scene of scooping names only a pile. The
-pile's object is then a dish with pasta in it.
+A scene of pouring names the object that is full of pasta, and gives the mass. A scene of scooping names only a pile,
+and the pile's object is then a dish with pasta in it.
 """
 
 from __future__ import annotations
@@ -32,13 +32,15 @@ _CARTON_ASSET, _CARTON_WALL, _CARTON_MASS = "pasta_box", 1.5, 30.0  # asset of a
 
 # g, of a pile to scoop from; the benchmark gives no mass. The largest mass to scoop is 160 g.
 _PILE_GRAMS = 240.0
-_MAX_SCOOPED_PIECES = 36  # of a pile; a trial of 40 s takes up to a minute of a core
-# object config whose material the dish has, and its mass, g: a tool pushes a lighter one away
+_MAX_SCOOPED_PIECES = 36  # of a pile; more do not leave the end of the dish free where a tool goes down
+# Friction of pieces, dish, tool and container. With the 0.8 of kitchen objects, a cup pushed pieces but took up few.
 _SCOOPED_FRICTION = 0.35
+# object config whose material the dish has, and its mass, g: a tool pushes a lighter one away
 _DISH_CONFIG, _DISH_GRAMS = "kitchen_container", 700.0
-# mm, of the dish that holds a pile: wide enough for the fingers beside a measuring cup, and low enough for the handle of
-# a spoon. At the start, the pieces lie at one end, so that a tool goes down beside them.
-_DISH_SIZES = {"size_mm": [156.0, 230.0, 36.0], "wall_mm": 6.0, "corner_mm": 10.0, "taper_mm": 0.0}
+# mm, of the dish that holds a pile: wide enough for the fingers beside a measuring cup, and low enough for the handle
+# of a spoon. At the start, the pieces lie at one end, so that a tool goes down beside them.
+_DISH_SIDES = (156.0, 230.0, 36.0)
+_DISH_WALL, _DISH_CORNER = 6.0, 10.0
 
 
 def is_pile(item: SceneObject) -> bool:
@@ -54,12 +56,13 @@ def is_body(item: SceneObject) -> bool:
 def pasta_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Locations) -> ObjectConfig:
     """Return the config of an object in a scene with pasta.
 
-    A carton of pasta is empty and open at its top. A pile's object is its dish. Raise LookupError if yamsim has none for
-    the asset.
+    A carton of pasta is empty and open at its top. A pile's object is its dish. Raise LookupError if yamsim has none
+    for the asset.
     """
     if is_pile(item):
         base = load_config(ObjectConfig, "objects", _DISH_CONFIG, locations).with_name(item.name)
-        return _smooth(with_shape(base, {**shape_data(base), **_DISH_SIZES, "mass_g": _DISH_GRAMS}))
+        sizes = {"size_mm": _DISH_SIDES, "wall_mm": _DISH_WALL, "corner_mm": _DISH_CORNER, "taper_mm": 0.0}
+        return _smooth(with_shape(base, {**shape_data(base), **sizes, "mass_g": _DISH_GRAMS}))
     base = object_config_of(item, blueprint.conditions, locations, nests=False)
     if blueprint.target_kind == SCOOP:
         return _smooth(base)
@@ -126,17 +129,20 @@ def describe_coarse_pieces(filled: str, filling: Filling, blueprint: SceneBluepr
     nominal = load_config(ObjectConfig, "objects", _PIECE_CONFIGS[item.asset], locations)
     data: dict[str, Any] = shape_data(nominal)
     thick, count = shape_data(filling.of)["diameter_mm"], piece_count(filling)[0]
-    text = f"{filling.of.name}: {filling.grams:.0f} g are {count} pieces {thick:.1f} mm thick"
+    text = f"{filling.of.name}: {filling.grams:.0f} g are {count}"
     if data["wall_mm"]:
-        each = filling.grams / count
-        return f"{text}, solid, of {each:.1f} g each instead of {nominal.inertia.mass_g:.1f} g"
-    return f"{text} instead of {data['diameter_mm']:.1f} mm" if thick > data["diameter_mm"] else ""
+        each, tube = (
+            filling.grams / count,
+            f"tubes {data['diameter_mm']:.1f} mm thick of {nominal.inertia.mass_g:.1f} g",
+        )
+        return f"{text} solid pieces {thick:.1f} mm thick of {each:.1f} g instead of {tube}"
+    if thick <= data["diameter_mm"]:
+        return ""
+    return f"{text} pieces {thick:.1f} mm thick instead of {data['diameter_mm']:.1f} mm"
 
 
 def describe_pile(item: SceneObject) -> str:
     """Return what yamsim chooses for a pile that a blueprint does not define, as a sentence."""
     depth = "" if item.size_cm is None else f"; its depth of {item.size_cm:g} cm is not simulated"
-    size = " x ".join(f"{side:.0f}" for side in _DISH_SIZES["size_mm"]) + " mm"
-    return (
-        f"{item.name}: {_PILE_GRAMS:.0f} g, in a dish of {size}{depth}"
-    )
+    size = " x ".join(f"{side:.0f}" for side in _DISH_SIDES) + " mm"
+    return f"{item.name}: {_PILE_GRAMS:.0f} g, in a dish of {size}{depth}"

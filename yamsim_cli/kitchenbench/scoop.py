@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
@@ -24,7 +24,7 @@ from ..core.geometry.se3 import Array, invert_pose, rotation_from_vector, rotati
 from .held_pieces import LoosePieces
 from .scoop_strokes import (
     ScoopTool,
-    pieces_on,
+    pieces_on_spoon,
     plan_knots,
     plan_laying_down,
     plan_release,
@@ -37,9 +37,15 @@ from .tilting import TICKS, HeldSource, Tilt, tilt_path
 _LIFT = 0.05  # m
 _LAYING_CLEARANCE = 0.01  # m, by which each finger opens to lay the tool down
 _JOINT_STEP = 0.65  # rad, largest change of a joint in an action of a stroke or on the way
-_ASIDE = (0.0, 0.008, -0.008, 0.016, -0.016, 0.03, -0.03, 0.045, -0.045)  # m, of a stroke from the middle of the dish
-_ENOUGH_TILT = math.radians(120)  # rad, of a cup over the container, after which no other grasp is tried
-_POUR_STEP = math.radians(20)  # rad, of a cup's tilt in an action
+# m, of a stroke from the middle of the dish
+_ASIDE = (0.0, 0.008, -0.008, 0.016, -0.016, 0.03, -0.03, 0.045, -0.045)
+# Pieces of a stroke's score: those ahead of the dish's middle count, those where the tool goes down hinder it, m. A
+# stroke that brought nothing is worth less.
+_AHEAD, _BEHIND, _FAILED_COST = 0.0, -0.03, 6
+# rad, of a tool's tilt in an action; actions in which the tool waits at its largest tilt
+_SPOON_STEP, _POUR_STEP, _MAX_WAITS = math.radians(45), math.radians(20), 2
+_WAY_SHARES = (0.33, 0.67)  # of the way to the container and back, at which the tool's pose is set
+_MAX_WAY_STEP = 1.5  # rad, of a joint on the last part of such a way; more is another posture
 _MAX_SCOOPS = 14
 _MAX_EMPTY = 4  # scoops in a row that bring nothing, after which the expert gives up
 
@@ -72,6 +78,7 @@ class Scoop(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
+        """Do nothing if the container holds enough already; see `Skill.run`."""
         tool, source, into = (roles.object_of(role) for role in (self.tool, self.source, self.into))
         pieces = LoosePieces(context, source, tool)
         job = _Job(context, tool, source, into, pieces)
@@ -107,6 +114,7 @@ class Scoop(Skill):
         job.use(hand, tool_of(context.object_configs[job.tool_name], invert_pose(held.T_thing_in_pinch)))
 
     def _find_grasp(self, context: PlanningContext, job: _Job) -> tuple[Hand, ReachableGrasp]:
+        """Return the hand and the first grasp with which a stroke and a tilt over the container are possible."""
         picker, reasons = Pick(thing=self.tool, lift=_LIFT), dict[str, int]()
         config = context.object_configs[job.tool_name]
         hands = sorted(
@@ -143,20 +151,20 @@ class _Job:
         self.failed: set[tuple[float, float]] = set()
 
     def use(self, hand: Hand, tool: ScoopTool | None) -> None:
-        assert tool is not None
+        """Set the hand and its tool."""
+        assert tool is not None, "a spoon or a cup scoops"
         self.hand, self.tool = hand, tool
 
     def find_infeasibility(self, T_thing_in_pinch: Array, joints: Array, opening: float) -> str | None:
-        stroke = self.best_stroke(T_thing_in_pinch, joints, opening, headings_needed=1)
+        """Return why a grasp does not allow to scoop, or None. The tool's pose is (4, 4), the hand's joints (dof,)."""
+        stroke = self.best_stroke(T_thing_in_pinch, joints, opening)
         if stroke is None:
             return f"the {self.hand.side} arm cannot move the {self.tool_name} through the {self.source}"
         if self.release(self.into, T_thing_in_pinch, stroke.joints[-1], opening, stroke.heading) is None:
             return f"the {self.hand.side} arm cannot tilt the {self.tool_name} over the {self.into}"
         return None
 
-    def best_stroke(
-        self, T_thing_in_pinch: Array, joints: Array, opening: float, headings_needed: int = 99
-    ) -> _Stroke | None:
+    def best_stroke(self, T_thing_in_pinch: Array, joints: Array, opening: float) -> _Stroke | None:
         """Return the free stroke with most pieces in its swath."""
         context = self.context
         load = AttachedObject(self.tool_name, T_thing_in_pinch, (self.source,))
@@ -168,10 +176,11 @@ class _Job:
             along, left = off @ ahead, off @ np.array((-ahead[1], ahead[0], 0.0))
             for aside in _ASIDE:
                 near = np.abs(left - aside) < self.tool.half_width
-                score = int((near & (along > 0.0)).sum()) - int((near & (along < -0.03)).sum())
-                options.append((score - 6 * ((heading, aside) in self.failed), heading, aside))
+                score = int((near & (along > _AHEAD)).sum()) - int((near & (along < _BEHIND)).sum())
+                score -= _FAILED_COST * ((heading, aside) in self.failed)
+                options.append((score, heading, aside))
         options.sort(key=lambda one: (-one[0], abs(one[2])))
-        for score, heading, aside in options:
+        for _, heading, aside in options:
             poses = self.tool.stroke(dish, T_dish, heading, aside)
             rows = plan_knots(context, self.hand, opening, load, poses, joints)
             if len(rows) == len(poses):
@@ -181,11 +190,13 @@ class _Job:
     def release(
         self, vessel: str, T_thing_in_pinch: Array, joints: Array, opening: float, heading: float
     ) -> Tilt | None:
+        """Return the motion that tilts the tool over a vessel, from joints (dof,); None if there is none."""
         load = AttachedObject(self.tool_name, T_thing_in_pinch)
         source = HeldSource(self.hand, load, joints, opening, self.pieces.length)
         return plan_release(self.context, source, self.tool, vessel, heading)
 
     def scoop_once(self, missing: float, tolerance: float) -> Iterator[MotionSegment]:
+        """Yield the motions of one scoop, which brings `missing` g at most, give or take `tolerance`, g."""
         context, hand = self.context, self.hand
         held = context.measure_held_object(hand)
         T = held.T_thing_in_pinch
@@ -194,7 +205,6 @@ class _Job:
             raise _NoStrokeError(FailureCause.UNREACHABLE, f"no free stroke of the {self.tool_name}")
         yield from self.travel(stroke.joints[0])
         yield from self.follow(stroke.joints[1:])
-        yield context.wait_segment(TICKS)
         held = context.measure_held_object(hand)
         carried = self.carried()
         if not carried:
@@ -211,7 +221,9 @@ class _Job:
                 return
         tilt = self.release(self.into, held.T_thing_in_pinch, hand.joints, hand.opening, stroke.heading)
         if tilt is None:
-            raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to tilt the {self.tool_name} over the {self.into}")
+            raise SkillFailedError(
+                FailureCause.UNREACHABLE, f"no way to tilt the {self.tool_name} over the {self.into}"
+            )
         yield from self.travel(tilt.joints[0])
         yield from self.tilt(tilt, lambda: self.carried() == 0)
 
@@ -230,17 +242,18 @@ class _Job:
         yield rest_segment(context)
 
     def carried(self) -> float:
-        T = self.context.world.pose(self.tool_name)
-        centres = self.pieces.centres
-        inside = self.context.world.points_inside(self.tool_name, centres) if not self.tool.is_spoon else np.zeros(0)
-        return self.pieces.grams(pieces_on(self.tool, T, centres, inside))
+        """Return the mass of the pieces on or in the tool, g."""
+        if not self.tool.is_spoon:
+            return self.pieces.grams_in(self.tool_name)
+        T_spoon = self.context.world.pose(self.tool_name)
+        return self.pieces.grams(pieces_on_spoon(T_spoon, self.pieces.centres))
 
-    def tilt(self, tilt: Tilt, is_done) -> Iterator[MotionSegment]:
+    def tilt(self, tilt: Tilt, is_done: Callable[[], bool]) -> Iterator[MotionSegment]:
+        """Yield the motions that tilt the tool step by step until `is_done`, or until it has waited fully tilted."""
         first, largest = float(tilt.angles[0]), float(tilt.angles[-1])
         angle = first
-        step = math.radians(45) if self.tool.is_spoon else _POUR_STEP
-        waits = 0
-        while not is_done() and waits < 2:
+        step, waits = _SPOON_STEP if self.tool.is_spoon else _POUR_STEP, 0
+        while not is_done() and waits < _MAX_WAITS:
             if not self.tool.is_spoon:
                 self.pieces.weigh()
             goal = min(angle + step, largest)
@@ -260,14 +273,14 @@ class _Job:
         T0, T1 = (hand.pinch_pose(at) @ held.T_thing_in_pinch for at in (hand.joints, joints))
         turn = rotation_vector(T0[:3, :3].T @ T1[:3, :3])
         poses = []
-        for share in (0.33, 0.67):
+        for share in _WAY_SHARES:
             T = T0.copy()
             T[:3, 3] += share * (T1[:3, 3] - T0[:3, 3])
             T[2, 3] = max(T0[2, 3], T1[2, 3])
             T[:3, :3] = T0[:3, :3] @ rotation_from_vector(share * turn)
             poses.append(T)
         rows = plan_knots(context, hand, hand.opening, load, poses, hand.joints)
-        if len(rows) == len(poses) and np.abs(rows[-1] - joints).max() < 1.5:
+        if len(rows) == len(poses) and np.abs(rows[-1] - joints).max() < _MAX_WAY_STEP:
             yield from self.follow(np.array([*rows, joints]))
             return
         path = context.plan_free_path(hand, joints, hand.opening, load)

@@ -1,7 +1,7 @@
 """Strokes of a spoon or a measuring cup through a dish of loose pieces: the poses of the tool, and an arm's joints.
 
-A stroke has a heading in `world`, in which the tool moves and its tip or lip points. It goes down into the pieces, along
-the dish's floor, and up again along the far wall.
+A stroke has a heading in `world`, in which the tool moves and its tip or lip points. It goes down into the dish, along
+its floor, and up again along the far wall.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ from .tilting import HeldSource, Tilt, grasps_from_side, height_of, lip_height, 
 _MAX_KNOT_STEP = 1.5  # rad, of a joint between two poses of a stroke; more is another posture
 _CHECKS = (0.5, 1.0)  # shares of the way between two poses at which contacts are checked
 
-# Poses of a stroke: distance of the tip from the dish's far wall along the heading, m; its height over the dish's floor,
-# m; and the tool's angle, degrees: the spoon's pitch, and the cup's tilt.
+# Poses of a stroke: distance of the tip from the dish's far wall along the heading, m; its height over the dish's
+# floor, m; and the tool's angle, degrees: the spoon's pitch, and the cup's tilt. With 85 degrees, the side of the cup
+# lies on the floor, and with less, its foot.
 _SPOON_STROKE = (
     (-0.170, 0.080, -45), (-0.170, 0.004, -45), (-0.080, 0.002, -25), (-0.015, 0.004, -18), (-0.010, 0.030, 8),
     (-0.050, 0.130, 16),
@@ -136,11 +137,9 @@ def _handle_grasps(config: ObjectConfig) -> Iterator[GraspCandidate]:
         yield GraspCandidate(T, point.opening, _SPOON_CLEARANCE, _SPOON_FORCE)
 
 
-def pieces_on(tool: ScoopTool, T_tool: Array, centres: Array, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return whether each piece, by its centre (n, 3) in `world`, is on a spoon; for a cup, `inside` (n,)."""
-    if not tool.is_spoon:
-        return inside
-    local = (centres - T_tool[:3, 3]) @ T_tool[:3, :3]
+def pieces_on_spoon(T_spoon: Array, centres: Array) -> NDArray[np.bool_]:
+    """Return whether each piece, by its centre (n, 3) in `world`, is over the head of a spoon at a pose (4, 4)."""
+    local = (centres - T_spoon[:3, 3]) @ T_spoon[:3, :3]
     found: NDArray[np.bool_] = ((local >= _HEAD_LOW) & (local <= _HEAD_HIGH)).all(axis=1)
     return found
 
@@ -215,7 +214,7 @@ def _cup_release(
 def plan_laying_down(
     context: PlanningContext, hand: Hand, load: AttachedObject, T_start: Array
 ) -> tuple[Array, Array] | None:
-    """Return joints (dof,) over a place for a spoon and at it, which is its first place (4, 4) or near; None without."""
+    """Return joints (dof,) over a held spoon's first place (4, 4) and at it; None if no way to lay it down is free."""
     T_held = hand.pinch_pose(hand.joints) @ load.T_thing_in_pinch
     upright = rotation_vector(T_start[:3, :3].T @ T_held[:3, :3])
     for share, turn in itertools.product(_ROLLS_LEFT, _LAYING_TURNS):

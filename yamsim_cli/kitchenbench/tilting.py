@@ -150,9 +150,7 @@ def _tilt_directions(source: ObjectConfig) -> Iterator[tuple[Array, float, float
         yield np.array([math.cos(turn), math.sin(turn), 0.0]), shape.diameter_mm / 2000, 0.0
 
 
-def longest_tilt(
-    context: PlanningContext, source: HeldSource, vessel: str, enough: float = math.inf
-) -> Tilt | None:
+def longest_tilt(context: PlanningContext, source: HeldSource, vessel: str, enough: float = math.inf) -> Tilt | None:
     """Return the motion that tilts a held source furthest over a vessel; None if none reaches `_MIN_TILT`.
 
     The first motion that reaches the angle `enough`, rad, is returned.
