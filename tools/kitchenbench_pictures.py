@@ -69,8 +69,7 @@ def first_success(name: str) -> Array | None:
 def solve(scene: Any, number: int, max_actions: int) -> Array | None:
     """Let the expert act in a realization of a scene, and return the pictures; None without success."""
     from yamsim_cli.kitchenbench.benchmark_scene import TICK_HZ, build_benchmark_scene, open_station_session
-    from yamsim_cli.kitchenbench.expert_trial import run_expert
-    from yamsim_cli.kitchenbench.policy import PlanningScene
+    from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
     from yamsim_cli.kitchenbench.success_judges import KitchenJudge
 
     seed = int(derive_seed(_SEED, scene.init_seed, number))

@@ -19,9 +19,8 @@ from kitchenbench.sim import build_blueprint
 from yamsim_cli.core.config.objects.primitives import Capsule
 from yamsim_cli.core.config.program_task import Role
 from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene, open_station_session
-from yamsim_cli.kitchenbench.expert_trial import run_expert
 from yamsim_cli.kitchenbench.pasta import describe_coarse_pieces, fillings_of, pasta_config_of
-from yamsim_cli.kitchenbench.policy import PlanningScene
+from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
 from yamsim_cli.kitchenbench.pour import Pour
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
 from yamsim_cli.kitchenbench.success_judges import KitchenJudge

@@ -19,10 +19,9 @@ from kitchenbench.sim import build_blueprint
 from yamsim_cli.core.config.program_task import Role
 from yamsim_cli.core.geometry.se3 import pose, rotation_z
 from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene, open_station_session
-from yamsim_cli.kitchenbench.expert_trial import run_expert
 from yamsim_cli.kitchenbench.object_poses import feasible_poses
 from yamsim_cli.kitchenbench.pasta import fillings_of, is_body, is_pile, pasta_config_of
-from yamsim_cli.kitchenbench.policy import PlanningScene
+from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
 from yamsim_cli.kitchenbench.scoop_strokes import pieces_on_spoon, stroke_headings, tool_of
 from yamsim_cli.kitchenbench.success_judges import KitchenJudge

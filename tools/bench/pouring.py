@@ -20,8 +20,7 @@ from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint
 
 from yamsim_cli.kitchenbench.benchmark_scene import TICK_HZ, build_benchmark_scene, open_station_session
-from yamsim_cli.kitchenbench.expert_trial import run_expert
-from yamsim_cli.kitchenbench.policy import PlanningScene
+from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
 from yamsim_cli.kitchenbench.success_judges import KitchenJudge
 

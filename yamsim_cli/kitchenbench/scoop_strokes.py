@@ -60,7 +60,8 @@ _LIP_BEHIND, _LIP_GAP = 0.02, 0.025  # m, of a cup's lip behind the vessel's mid
 # m, of the spoon's tip: behind the vessel's middle and over its rim, and the same for a spoon that rolls to a side
 _TIP_BEHIND, _TIP_OVER, _TIP_AHEAD, _SIDE_OVER = 0.015, 0.03, 0.025, 0.035
 # m in the spoon's frame: the box over its head in which pieces count as carried
-_HEAD_LOW, _HEAD_HIGH = np.array((-0.035, 0.02, -0.005)), np.array((0.035, 0.115, 0.08))
+_HEAD_LOW: Array = np.array((-0.035, 0.02, -0.005))
+_HEAD_HIGH: Array = np.array((0.035, 0.115, 0.08))
 
 
 @dataclass(frozen=True)
@@ -139,9 +140,8 @@ def _handle_grasps(config: ObjectConfig) -> Iterator[GraspCandidate]:
 
 def pieces_on_spoon(T_spoon: Array, centres: Array) -> NDArray[np.bool_]:
     """Return whether each piece, by its centre (n, 3) in `world`, is over the head of a spoon at a pose (4, 4)."""
-    local = (centres - T_spoon[:3, 3]) @ T_spoon[:3, :3]
-    found: NDArray[np.bool_] = ((local >= _HEAD_LOW) & (local <= _HEAD_HIGH)).all(axis=1)
-    return found
+    local: Array = (centres - T_spoon[:3, 3]) @ T_spoon[:3, :3]
+    return np.asarray(np.all((local >= _HEAD_LOW) & (local <= _HEAD_HIGH), axis=1), dtype=np.bool_)
 
 
 def plan_knots(
