@@ -33,7 +33,8 @@ _CARTON_ASSET, _CARTON_WALL, _CARTON_MASS = "pasta_box", 1.5, 30.0  # asset of a
 # g, of a pile to scoop from; the benchmark gives no mass. The largest mass to scoop is 160 g.
 _PILE_GRAMS = 240.0
 _MAX_SCOOPED_PIECES = 36  # of a pile; more do not leave the end of the dish free where a tool goes down
-# Friction of pieces, dish, tool and container. With the 0.8 of kitchen objects, a cup pushed pieces but took up few.
+# Friction of pieces, dish, tool and container. With the 0.8 of kitchen objects, a cup took up few pieces, and they did
+# not slide out of it.
 _SCOOPED_FRICTION = 0.35
 # object config whose material the dish has, and its mass, g: a tool pushes a lighter one away
 _DISH_CONFIG, _DISH_GRAMS = "kitchen_container", 700.0
