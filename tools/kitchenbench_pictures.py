@@ -6,6 +6,7 @@ python -m tools.kitchenbench_pictures pour_pasta    # or some
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 from pathlib import Path
@@ -31,6 +32,7 @@ _QUALITY = 85  # of the JPEG files
 _DISTANCE, _AZIMUTH, _ELEVATION = 0.95, 150.0, -25.0  # m and degrees, of the camera from the middle of the objects
 _ABOVE = 0.1  # m, above that middle, of the point that the camera looks at
 _SEED = 0
+_REALIZATIONS = 2  # of each scene that are tried: all first ones, then all second ones
 
 
 def main(names: list[str]) -> None:
@@ -42,7 +44,7 @@ def main(names: list[str]) -> None:
     for name in names or sorted(tasks.TASK_FACTORIES.keys() - set(_LEFT_OUT)):
         strip = first_success(name)
         if strip is None:
-            sys.stdout.write(f"{name}: the expert solves no first realization\n")
+            sys.stdout.write(f"{name}: the expert solves none of the first realizations\n")
             continue
         file = _FOLDER / f"{name}.jpg"
         cv2.imwrite(str(file), strip[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
@@ -50,12 +52,12 @@ def main(names: list[str]) -> None:
 
 
 def first_success(name: str) -> Array | None:
-    """Return the pictures (height, 4 * width, 3) of the first scene of a task that the expert solves; None if none."""
+    """Return the pictures (height, 4 * width, 3) of the first realization that the expert solves; None if none."""
     task = tasks.TASK_FACTORIES[name]()
     assert task.max_steps is not None, "KitchenBench's tasks limit the number of actions"
-    for scene in task.scenes:
+    for number, scene in itertools.product(range(_REALIZATIONS), task.scenes):
         try:
-            strip = solve(scene, task.max_steps)
+            strip = solve(scene, number, task.max_steps)
         except YamsimError as error:
             sys.stdout.write(f"{scene.id}: {error}\n")
             continue
@@ -64,23 +66,18 @@ def first_success(name: str) -> Array | None:
     return None
 
 
-def solve(scene: Any, max_actions: int) -> Array | None:
-    """Let the expert act in the first realization of a scene, and return the pictures; None without success."""
+def solve(scene: Any, number: int, max_actions: int) -> Array | None:
+    """Let the expert act in a realization of a scene, and return the pictures; None without success."""
     from yamsim_cli.kitchenbench.benchmark_scene import TICK_HZ, build_benchmark_scene, open_station_session
-    from yamsim_cli.kitchenbench.policy import PlanningScene
+    from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
     from yamsim_cli.kitchenbench.success_judges import KitchenJudge
 
-    seed = int(derive_seed(_SEED, scene.init_seed, 0))
+    seed = int(derive_seed(_SEED, scene.init_seed, number))
     realized = build_benchmark_scene(build_blueprint(scene, seed), open_station_session("64x48", images=False))
     planning = PlanningScene(realized, seed, TICK_HZ // 3)
-    judge, states, actions = KitchenJudge(realized, planning.motion), [planning.motion.data.qpos.copy()], 0
+    judge, states = KitchenJudge(realized, planning.motion), [planning.motion.data.qpos.copy()]
     try:
-        while actions < max_actions and not judge.evaluate()[0]:
-            new = len(planning.next_actions())
-            if not new:
-                break
-            actions += new
-            states.append(planning.motion.data.qpos.copy())
+        run_expert(planning, judge, max_actions, lambda: states.append(planning.motion.data.qpos.copy()))
         if not judge.evaluate()[0]:
             return None
         return film_strip(realized.simulator.scene, states)

@@ -18,12 +18,13 @@ from kitchenbench.sim import build_blueprint
 
 from yamsim_cli.core.config.objects.primitives import Capsule
 from yamsim_cli.core.config.program_task import Role
-from yamsim_cli.kitchenbench.asset_configs import describe_thicker_pieces, fillings_of, pouring_config_of
 from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene, open_station_session
-from yamsim_cli.kitchenbench.policy import PlanningScene
-from yamsim_cli.kitchenbench.pour import Pour, lip_height
+from yamsim_cli.kitchenbench.pasta import describe_coarse_pieces, fillings_of, pasta_config_of
+from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
+from yamsim_cli.kitchenbench.pour import Pour
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
 from yamsim_cli.kitchenbench.success_judges import KitchenJudge
+from yamsim_cli.kitchenbench.tilting import lip_height
 from yamsim_cli.loose_pieces import loose_pieces, piece_count, stacked_poses
 
 SCENES = {scene.id: scene for scene in tasks.TASK_FACTORIES["pour_pasta"]().scenes}
@@ -48,7 +49,7 @@ def test_every_source_holds_its_pasta(name: str, base: Any) -> None:
         assert filling.grams == blueprint.success_params["total_g"]
         assert piece_count(filling)[0] <= 44
         source = next(item for item in blueprint.objects if item.name == filled)
-        config = pouring_config_of(source, blueprint, base.locations)
+        config = pasta_config_of(source, blueprint, base.locations)
         task = base.config.task.model_copy(update={"things": {filled: Role(of=(config,), filled=filling)}})
         assert len(stacked_poses(task, filled)) == len(loose_pieces(task)[filled])
         if name == STRANDS:
@@ -65,10 +66,10 @@ def test_pieces_get_thicker_and_not_longer_where_they_would_be_too_many(base: An
     assert np.linalg.norm(np.subtract(part.end, part.start)) + 2 * part.radius == pytest.approx(0.05, abs=1e-4)
     assert part.radius > 0.006
     assert piece_count(filling) == (44, pytest.approx(1.0, abs=0.01))
-    line = describe_thicker_pieces("source", filling, blueprint_of("pour-pasta-full-box"), base.locations)
+    line = describe_coarse_pieces("source", filling, blueprint_of("pour-pasta-full-box"), base.locations)
     assert line.startswith("dry_pasta: 427 g are 44 pieces 13.") and line.endswith("thick instead of 8.0 mm")
     thin = blueprint_of(CUP)
-    assert describe_thicker_pieces("source", fillings_of(thin, base.locations)["source"], thin, base.locations) == ""
+    assert describe_coarse_pieces("source", fillings_of(thin, base.locations)["source"], thin, base.locations) == ""
 
 
 @pytest.mark.parametrize("angle", [0.0, 15.0, 40.0, 75.0, 90.0, 120.0])
@@ -136,9 +137,7 @@ def test_the_expert_pours(name: str, epoch: int, base: Any) -> None:
     try:
         judge = KitchenJudge(realized, planning.motion)
         planning.start_program([Pour(thing=source, into=vessel)], realized.simulator.roles)
-        actions = 0
-        while actions < 100 and not judge.evaluate()[0]:
-            actions += len(planning.next_actions())
+        run_expert(planning, judge, 100)
         mass = judge.world.contained_mass_g
         assert judge.evaluate()[0]
         assert mass("pasta", vessel) >= 0.8 * total

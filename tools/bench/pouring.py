@@ -1,10 +1,12 @@
-"""Build the first realization of each scene of KitchenBench's `pour_pasta`, and hold still for a second.
+"""Build the first realization of each scene of `pour_pasta` and `scoop_pasta`, and hold still for a second.
 
 python -m tools.bench.pouring
 
-With `--pour`, let the expert pour, judged by the benchmark's checker in the expert's planning scene after every motion:
+With `--pour` or `--scoop`, let the expert act, judged by the benchmark's checker in the expert's planning scene after
+every motion:
 
 python -m tools.bench.pouring --pour narrow-cup full-box --realizations 0 1 2 3 4 --seed 0
+python -m tools.bench.pouring --scoop --realizations 0 1 2 3 4 --seed 0
 """
 
 from __future__ import annotations
@@ -18,49 +20,65 @@ from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint
 
 from yamsim_cli.kitchenbench.benchmark_scene import TICK_HZ, build_benchmark_scene, open_station_session
-from yamsim_cli.kitchenbench.policy import PlanningScene
+from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
 from yamsim_cli.kitchenbench.success_judges import KitchenJudge
 
-MAX_ACTIONS = 100  # of a trial, as in the benchmark
+_TASKS = {"pour": "pour_pasta", "scoop": "scoop_pasta"}  # option -> the benchmark's task
 
 
 def main() -> None:
     """Measure from the command line."""
-    scenes = {scene.id.removeprefix("pour-pasta-"): scene for scene in tasks.TASK_FACTORIES["pour_pasta"]().scenes}
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--pour", nargs="*", metavar="SCENE", help=f"all, or some of: {', '.join(scenes)}")
+    scenes = {option: _scenes_of(task) for option, task in _TASKS.items()}
+    for option, found in scenes.items():
+        parser.add_argument(f"--{option}", nargs="*", metavar="SCENE", help=f"all, or some of: {', '.join(found)}")
     parser.add_argument("--realizations", nargs="*", type=int, default=[0])
     parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    if unknown := set(given.pour or ()) - scenes.keys():
-        parser.error(f"unknown scene {', '.join(sorted(unknown))}; the scenes are {', '.join(scenes)}")
-    if given.pour is None:
+    given = vars(parser.parse_args())
+    if all(given[option] is None for option in _TASKS):
         hold_still()
         return
-    for name in given.pour or scenes:
-        for number in given.realizations:
-            pour(scenes[name], int(derive_seed(given.seed, scenes[name].init_seed, number)), number)
+    for option, task in _TASKS.items():
+        if given[option] is None:
+            continue
+        if unknown := set(given[option]) - scenes[option].keys():
+            parser.error(f"unknown scene {', '.join(sorted(unknown))}; valid: {', '.join(scenes[option])}")
+        solved = [
+            solve(scenes[option][name], int(derive_seed(given["seed"], scenes[option][name].init_seed, number)), number)
+            for name in given[option] or scenes[option]
+            for number in given["realizations"]
+        ]
+        print(f"{task}: {sum(solved)} of {len(solved)}")
 
 
-def pour(scene: Any, seed: int, number: int) -> None:
-    """Let the expert pour in a realization, and print the verdict."""
+def _scenes_of(task: str) -> dict[str, Any]:
+    """Return short name -> scene of a task."""
+    return {scene.id.removeprefix(f"{task.replace('_', '-')}-"): scene for scene in tasks.TASK_FACTORIES[task]().scenes}
+
+
+def solve(scene: Any, seed: int, number: int) -> bool:
+    """Let the expert act in a realization, print the verdict, and return whether it succeeded."""
     blueprint, begin = build_blueprint(scene, seed), time.process_time()
     realized = build_benchmark_scene(blueprint, open_station_session("64x48", images=False))
     planning = PlanningScene(realized, seed, TICK_HZ // 3)
-    judge, actions = KitchenJudge(realized, planning.motion), 0
-    while actions < MAX_ACTIONS and not judge.evaluate()[0]:
-        actions += len(planning.next_actions())
+    judge = KitchenJudge(realized, planning.motion)
+    max_actions = tasks.TASK_FACTORIES[scene.metadata["task"]]().max_steps
+    assert max_actions is not None, "KitchenBench's tasks limit the number of actions"
+    actions = run_expert(planning, judge, max_actions)
     reached, explanation = judge.evaluate()
-    print(f"{scene.id} {number}: {reached}, {explanation} of {blueprint.success_params['total_g']:.0f} g", end=", ")
+    reached &= actions <= max_actions
+    tools = "".join(f" {item.asset}" for item in blueprint.objects if item.role == "tool")
+    print(f"{scene.id} {number}{tools}: {reached}, {explanation}", end=", ")
     print(f"{actions} actions, {time.process_time() - begin:.0f} s", flush=True)
     planning.close()
+    return reached
 
 
 def hold_still() -> None:
     """Build the scenes, and print what is in source and vessel after a second."""
     base = open_station_session("64x48", images=False)
-    for scene in tasks.TASK_FACTORIES["pour_pasta"]().scenes:
+    for scene in (scene for task in _TASKS.values() for scene in _scenes_of(task).values()):
         blueprint, begin = build_blueprint(scene, derive_seed(0, scene.init_seed, 0)), time.process_time()
         realized = build_benchmark_scene(blueprint, base)
         built = time.process_time() - begin
@@ -68,13 +86,14 @@ def hold_still() -> None:
         judge, begin = KitchenJudge(realized, motion), time.process_time()
         motion.execute_action(motion.last_reference)
         held = time.process_time() - begin
-        source, vessel = (
-            judge.world.contained_mass_g("pasta", blueprint.roles[role][0]) for role in ("source", "vessel")
+        ((substance, source),) = realized.substances.items()
+        vessel = (blueprint.roles.get("vessel") or blueprint.roles["container"])[0]
+        grams = [judge.world.contained_mass_g(substance, name) for name in (source, vessel)]
+        pieces = len(realized.simulator.scene.pieces[source])
+        print(
+            f"{scene.id}: {pieces} pieces, {grams[0]:.1f} g in the {source}, {grams[1]:.1f} g in the vessel", end=", "
         )
-        pieces = len(realized.simulator.scene.pieces[blueprint.roles["source"][0]])
-        print(f"{scene.id}: {pieces} pieces, {source:.1f} g of {blueprint.success_params['total_g']:.1f} g", end=", ")
-        print(f"{vessel:.1f} g in the vessel, success {judge.evaluate()[0]}", end=", ")
-        print(f"{built:.1f} s to build, {held:.1f} s for a second")
+        print(f"success {judge.evaluate()[0]}, {built:.1f} s to build, {held:.1f} s for a second")
         realized.simulator.close()
 
 

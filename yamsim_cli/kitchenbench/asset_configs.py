@@ -15,20 +15,18 @@ from ..core.config.objects.cloth import Cloth, object_keys_from_cloth
 from ..core.config.objects.generated import object_from_shape
 from ..core.config.objects.object_config import ObjectConfig
 from ..core.config.objects.shapes import VesselShape
-from ..core.config.program_task import Filling
 from ..core.config.scene import Table
 from ..core.files.resources import Locations
 from ..core.geometry.se3 import Array
 from ..core.scene.compiled import CompiledScene
 from ..core.sim.cloth import crumple_cloth
-from ..loose_pieces import piece_count
 from .lids import LID_CONFIGS, OPEN, container_with_ears, lid_between_ears, lidded_container
 
-# Asset -> object config. Compartments are parts of the tray. `CLOTH_CONFIGS` has cloth, and `_PIECE_CONFIGS` pasta.
+# Asset -> object config. Compartments are parts of the tray. `CLOTH_CONFIGS` has cloth, and `pasta.py` pasta.
 _OBJECT_CONFIGS = {
     name: f"kitchen_{name}"
     for name in (
-        "spoon", "fork", "knife", "plate", "bowl", "cup", "tray", "dish_rack", "utensil", "produce_item",
+        "spoon", "fork", "knife", "plate", "bowl", "cup", "tray", "dish_rack", "utensil", "produce_item", "container",
         "distractor", "jar", "bottle", "food_container", "pot", "measuring_cup", "pasta_box",
     )
 }  # fmt: skip
@@ -39,18 +37,6 @@ _POT_RIM = 4.0  # mm, from a pot's inner wall to the rim under its lid
 
 #: The asset whose objects are parts of the tray.
 COMPARTMENT = "compartment"
-
-#: The kind of KitchenBench's goals in which a substance is poured into a vessel.
-POUR = "pour_into"
-#: The condition of a scene that gives the length of its pasta.
-STRAND_CONDITION = "strand_length_cm"
-# Asset of a substance -> object config of one piece.
-_PIECE_CONFIGS = {"dry_pasta": "kitchen_dry_pasta"}
-_DIAMETER_DIGITS = 3  # decimals of a thicker piece's diameter in mm
-# Largest number of pieces: a second of physics takes 4 to 5 s of a core with 60, and 3 to 4 s with 44. With 40, not
-# every source holds its pasta.
-_MAX_PIECES = 44
-_CARTON_ASSET, _CARTON_WALL, _CARTON_MASS = "pasta_box", 1.5, 30.0  # asset of a carton; its wall, mm; its mass, g
 
 _COURGETTE_WIDTH = 55.0  # mm, of long produce; fingers could not hold a tomato of that length
 _COURGETTE_BODY = {"stuff": "fruit", "rgba": [0.24, 0.42, 0.16, 1], "specular": 0.3, "shininess": 0.4}
@@ -113,66 +99,6 @@ def object_config_of(
     return ObjectConfig.model_validate({**data, **made})
 
 
-def is_body(item: SceneObject) -> bool:
-    """Whether a blueprint's object is a body of its own: no compartment of a tray, and no substance."""
-    return item.asset != COMPARTMENT and item.asset not in _PIECE_CONFIGS
-
-
-def pouring_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Locations) -> ObjectConfig:
-    """Return the config of an object in a scene of pouring: a carton of pasta is empty and open at its top.
-
-    Raise LookupError if yamsim has none for the asset.
-    """
-    base = object_config_of(item, blueprint.conditions, locations, nests=False)
-    if item.asset != _CARTON_ASSET:
-        return base
-    data = _shape_data(base)
-    carton = {"family": "container", "size_mm": data["size_mm"], "wall_mm": _CARTON_WALL, "corner_mm": _CARTON_WALL}
-    return _with_shape(base, {**carton, "mass_g": _CARTON_MASS, "materials": {"body": data["materials"]["body"]}})
-
-
-def fillings_of(blueprint: SceneBlueprint, locations: Locations) -> dict[str, Filling]:
-    """Return object -> its filling, for a blueprint's substances. `strand_length_cm` is the length of a piece."""
-    found = {}
-    for item in blueprint.objects:
-        if item.parent is None or item.asset not in _PIECE_CONFIGS or item.amount_g is None:
-            continue
-        piece = load_config(ObjectConfig, "objects", _PIECE_CONFIGS[item.asset], locations)
-        if STRAND_CONDITION in blueprint.conditions:
-            length = 10.0 * float(blueprint.conditions[STRAND_CONDITION])
-            piece = _with_shape(piece, {**_shape_data(piece), "length_mm": length})
-        found[item.parent] = Filling(
-            of=_thick_enough(piece, item.amount_g), grams=item.amount_g, max_pieces=_MAX_PIECES
-        )
-    return found
-
-
-def _thick_enough(piece: ObjectConfig, grams: float) -> ObjectConfig:
-    """Return a piece so thick that `_MAX_PIECES` weigh `grams`, if thinner ones would be too many.
-
-    Longer pieces would wedge themselves between the walls of a carton, which are 37 mm apart: one of 70 mm can lean by
-    26 degrees at most there, and friction (0.8) holds a piece that leans by less than 39 degrees.
-    """
-    factor = math.sqrt(grams / (_MAX_PIECES * piece.inertia.mass_g))
-    if factor <= 1.0:
-        return piece
-    data = _shape_data(piece)
-    return _with_shape(piece, {**data, "diameter_mm": round(factor * data["diameter_mm"], _DIAMETER_DIGITS)})
-
-
-def describe_thicker_pieces(filled: str, filling: Filling, blueprint: SceneBlueprint, locations: Locations) -> str:
-    """Return how much thicker the pieces in `filled` are than those of their asset, as a sentence, or ""."""
-    (asset,) = {item.asset for item in blueprint.objects if item.parent == filled and item.asset in _PIECE_CONFIGS}
-    nominal = _shape_data(load_config(ObjectConfig, "objects", _PIECE_CONFIGS[asset], locations))["diameter_mm"]
-    thick = _shape_data(filling.of)["diameter_mm"]
-    if thick <= nominal:
-        return ""
-    count = piece_count(filling)[0]
-    return (
-        f"{filling.of.name}: {filling.grams:.0f} g are {count} pieces {thick:.1f} mm thick instead of {nominal:.1f} mm"
-    )
-
-
 def container_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Locations) -> ObjectConfig:
     """Return the config of an object in a scene with lids: a container with its lid on, an open one, or a lid alone.
 
@@ -186,8 +112,8 @@ def container_config_of(item: SceneObject, blueprint: SceneBlueprint, locations:
         base = object_config_of(item, blueprint.conditions, locations)
         lid = _lid_config_of(item, base, locations)
         if item.asset == "food_container":
-            base = _with_shape(base, container_with_ears(_shape_data(base)))
-            lid = _with_shape(lid, lid_between_ears(_shape_data(lid)))
+            base = with_shape(base, container_with_ears(shape_data(base)))
+            lid = with_shape(lid, lid_between_ears(shape_data(lid)))
         return lidded_container(base, item.asset, lid, blueprint)
     if item.asset != _LID_ASSET:
         return object_config_of(item, blueprint.conditions, locations)
@@ -199,23 +125,25 @@ def container_config_of(item: SceneObject, blueprint: SceneBlueprint, locations:
 def _lid_config_of(container: SceneObject, base: ObjectConfig, locations: Locations) -> ObjectConfig:
     """Return the lid of a container of the config `base`, which has the sizes that the scene requires."""
     lid = load_config(ObjectConfig, "objects", _LIDS[container.asset], locations)
-    data = _shape_data(lid)
+    data = shape_data(lid)
     if container.asset == "pot":
         assert isinstance(base.shape, VesselShape)
         across = base.shape.diameter_mm
         rim = base.shape.wall_mm + _POT_RIM
         data |= {"size_mm": [across, across, data["size_mm"][2]], "corner_mm": across / 2 - 0.5, "inset_mm": rim}
-        return _with_shape(lid, data)
+        return with_shape(lid, data)
     factor = (container.size_cm or 0.0) / ASSETS[container.asset].footprint_w_cm or 1.0
-    return _with_shape(lid, {**data, **_scaled_sizes(data, factor)})
+    return with_shape(lid, {**data, **_scaled_sizes(data, factor)})
 
 
-def _shape_data(item: ObjectConfig) -> dict[str, Any]:
+def shape_data(item: ObjectConfig) -> dict[str, Any]:
+    """Return the data of the shape from which an object is made."""
     assert item.shape is not None, "the kitchen's things are made from sizes"
     return item.shape.model_dump(mode="json", exclude_none=True)
 
 
-def _with_shape(item: ObjectConfig, shape: Mapping[str, Any]) -> ObjectConfig:
+def with_shape(item: ObjectConfig, shape: Mapping[str, Any]) -> ObjectConfig:
+    """Return an object of the same name that is made from other sizes."""
     data = {"name": item.name, "shape": dict(shape)}
     checked = ObjectConfig.model_validate({**item.model_dump(mode="json", exclude_none=True), **data})
     assert checked.shape is not None

@@ -33,26 +33,32 @@ from .asset_configs import (
     COMPARTMENT,
     CRUMPLE_CONDITION,
     FOLD_GOAL_KIND,
-    POUR,
-    STRAND_CONDITION,
     cloth_config_of,
     container_config_of,
     crumpled_start,
-    describe_thicker_pieces,
-    fillings_of,
-    is_body,
     object_config_of,
-    pouring_config_of,
     table_for_sheet,
 )
 from .lids import LID_CONDITIONS, OPEN, SEAL, stiffen_lid_friction
 from .object_poses import BESIDE, T_in_world, feasible_poses, origin_in_world
+from .pasta import (
+    POUR,
+    SCOOP,
+    STRAND_CONDITION,
+    describe_coarse_pieces,
+    describe_pile,
+    fillings_of,
+    is_body,
+    is_pile,
+    pasta_config_of,
+)
 
 STATION_RIG = "yam_station_linear_4310_d405"  # name of the rig's config
 TICK_HZ = 30  # Hz, control ticks
 
 #: Kinds of KitchenBench's goals whose scenes can be built.
-GOAL_KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD_GOAL_KIND, OPEN, SEAL, POUR})
+GOAL_KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD_GOAL_KIND, OPEN, SEAL, POUR, SCOOP})
+_PASTA_KINDS = (POUR, SCOOP)  # kinds of goals with loose pieces
 _HANDED_OVER = "handoff"  # a cup is not put into another object
 
 _PLACEHOLDER_TASK = "tower"  # replaced by a scene of KitchenBench
@@ -77,6 +83,7 @@ _POLICY_CONDITIONS = frozenset(
         "pour_height_cm",
         "pour_angle_deg",
         "steadying_force_n",
+        "transfer_height_cm",
     }
 )
 _REALIZED_CONDITIONS = frozenset({"slot_width_cm", CRUMPLE_CONDITION, STRAND_CONDITION})
@@ -117,9 +124,10 @@ class BenchmarkScene:
 
     @property
     def substances(self) -> dict[str, str]:
-        """Name of a blueprint's substance -> the object that its pieces fill at the start."""
+        """Name of a blueprint's substance -> the object that its pieces fill at the start; a pile fills its dish."""
         filled = self.simulator.scene.pieces
-        return {item.name: item.parent for item in self.blueprint.objects if item.parent and item.parent in filled}
+        places = {item.name: item.parent or item.name for item in self.blueprint.objects}
+        return {name: place for name, place in places.items() if place in filled}
 
     @property
     def object_configs(self) -> dict[str, ObjectConfig]:
@@ -164,7 +172,7 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
     things = [item for item in blueprint.objects if is_body(item)]
     objects = [_config_of(item, blueprint, base) for item in things]
     config = base.config
-    fillings = fillings_of(blueprint, base.locations) if blueprint.target_kind == POUR else {}
+    fillings = fillings_of(blueprint, base.locations) if blueprint.target_kind in _PASTA_KINDS else {}
     task = _make_task(blueprint, config, {item.name: item for item in objects}, fillings)
     scene = config.scene.model_copy(update={"table": table_for_scene(config, blueprint)})
     roles = _role_assignment(blueprint)
@@ -180,8 +188,9 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
         name: round(1000 * float(np.linalg.norm(_horizontal_position(simulator.scene, start, name) - T[:2, 3])), 2)
         for name, T in wanted.items()
     }
-    thicker = [describe_thicker_pieces(name, one, blueprint, base.locations) for name, one in fillings.items()]
-    unrealized = (*_unrealized_conditions(blueprint, offsets), *thicker)
+    coarse = [describe_coarse_pieces(name, one, blueprint, base.locations) for name, one in fillings.items()]
+    coarse += [describe_pile(item) for item in things if is_pile(item)]
+    unrealized = (*_unrealized_conditions(blueprint, offsets), *coarse)
     return BenchmarkScene(
         blueprint, simulator, start, _container_regions(blueprint), offsets, tuple(filter(None, unrealized))
     )
@@ -192,8 +201,8 @@ def _config_of(item: SceneObject, blueprint: SceneBlueprint, base: Session) -> O
         return cloth_config_of(item, blueprint, base.locations)
     if blueprint.target_kind in (OPEN, SEAL):
         return container_config_of(item, blueprint, base.locations)
-    if blueprint.target_kind == POUR:
-        return pouring_config_of(item, blueprint, base.locations)
+    if blueprint.target_kind in _PASTA_KINDS:
+        return pasta_config_of(item, blueprint, base.locations)
     return object_config_of(item, blueprint.conditions, base.locations, blueprint.target_kind != _HANDED_OVER)
 
 

@@ -13,8 +13,9 @@ from ..core.episode.simulator import Simulator
 from ..core.geometry.se3 import Array, invert_pose, pose, rotation_z
 from ..core.scene.start_sampling import footprint_corners, footprint_distance
 from ..core.sim.sim_world import make_sim_world
-from .asset_configs import FOLD_GOAL_KIND, POUR, is_body
+from .asset_configs import FOLD_GOAL_KIND
 from .lids import LID, OPEN, SEAL, SNAP_ASSET
+from .pasta import POUR, SCOOP, is_body, is_pile
 
 #: Position of the blueprints' origin in `world`: ahead and to the left of the midpoint between the arms' bases, m.
 #: Scenes extend from there to the right, so this centres most objects before the arms.
@@ -35,9 +36,14 @@ SNAP_AHEAD, SNAP_BESIDE = 0.30, 0.0
 #: can tilt it by 135 degrees or more over the vessel. At x = 0.45 m, this would be 120 degrees.
 POUR_AHEAD, POUR_BESIDE = 0.33, -0.08
 
+#: Position of that origin, m, for scooping: the left arm reaches the tool, the pile and the container, which lies up to
+#: 0.32 m to the right of the origin.
+SCOOP_AHEAD, SCOOP_BESIDE = 0.28, 0.31
+
 _STEP = 0.002  # m, of displacements
 _RACK_GAP = 0.005  # m, between a rack and a displaced object
-_BESIDE_GAP = 0.03  # m, between a container and its lid beside it, and between a vessel and the source beside it
+_BESIDE_GAP = 0.03  # m, between a container and its lid beside it, and between a vessel and what stands beside it
+_WRIST_GAP = 0.06  # m, between a dish and the container beside it: the wrist's camera passes there
 _WALL_THICKNESS = 0.005  # m, thickness of a tray's walls
 _FINGER_CLEARANCES = (0.010, 0.003)  # m, between a wall and a displaced object, in the order tried
 _MAX_OVERLAP_SHIFT = 0.02  # m, accepted displacement to avoid an overlap with another object
@@ -52,6 +58,8 @@ def origin_in_world(blueprint: SceneBlueprint) -> tuple[float, float]:
         return (SNAP_AHEAD, SNAP_BESIDE) if snaps else (SCREW_AHEAD, SCREW_BESIDE)
     if blueprint.target_kind == POUR:
         return (POUR_AHEAD, POUR_BESIDE)
+    if blueprint.target_kind == SCOOP:
+        return (SCOOP_AHEAD, SCOOP_BESIDE)
     return (LID_AHEAD, LID_BESIDE) if blueprint.target_kind == SEAL else (AHEAD, BESIDE)
 
 
@@ -60,7 +68,9 @@ def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
 
     A blueprint's frame has x to the right, y ahead and z up. Its origin is at `origin_in_world`.
     """
-    T_item = pose((item.x_cm / 100, item.y_cm / 100, 0.0), rotation_z(math.radians(item.yaw_deg)))
+    # The dish of a pile extends to the left and right, and its pieces lie at its left end.
+    yaw = math.radians(item.yaw_deg) - (math.pi / 2 if is_pile(item) else 0.0)
+    T_item = pose((item.x_cm / 100, item.y_cm / 100, 0.0), rotation_z(yaw))
     if item.parent is None:
         return pose((*origin_in_world(blueprint), 0.0), rotation_z(-math.pi / 2)) @ T_item
     parent = next(other for other in blueprint.objects if other.name == item.parent)
@@ -91,6 +101,9 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
         _put_beside(places, room, blueprint.roles[LID][0], blueprint.roles["container"][0])
     if blueprint.target_kind == POUR:
         _put_beside(places, room, blueprint.roles["source"][0], blueprint.roles["vessel"][0])
+    if blueprint.target_kind == SCOOP:
+        for role, gap in (("tool", _BESIDE_GAP), ("container", _WRIST_GAP)):
+            _put_beside(places, room, blueprint.roles[role][0], blueprint.roles["substance"][0], gap)
     for tray in blueprint.roles.get("tray", ()):
         middles = [item.x_cm / 100 for item in blueprint.objects if item.parent == tray]
         for name in places:
@@ -104,17 +117,16 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
     return places
 
 
-def _put_beside(places: dict[str, Array], room: Mapping[str, Array], name: str, other: str) -> None:
-    """Displace an object along y until its footprint is `_BESIDE_GAP` or more from that of `other`.
+def _put_beside(
+    places: dict[str, Array], room: Mapping[str, Array], name: str, other: str, gap: float = _BESIDE_GAP
+) -> None:
+    """Displace an object along y until its footprint is `gap` or more from that of `other`, m.
 
     A lid on its container would count as sealed, and a source must not stand in the vessel.
     """
     T = places[name]
     away = math.copysign(_STEP, T[1, 3] - places[other][1, 3])
-    while (
-        footprint_distance(footprint_corners(room[name], T), footprint_corners(room[other], places[other]))
-        < _BESIDE_GAP
-    ):
+    while footprint_distance(footprint_corners(room[name], T), footprint_corners(room[other], places[other])) < gap:
         T[1, 3] += away
 
 

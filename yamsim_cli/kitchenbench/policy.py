@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 
 import numpy as np
@@ -32,6 +32,7 @@ from .benchmark_scene import TICK_HZ, BenchmarkScene, build_benchmark_scene, ope
 from .embodiment import CONTROL_HZ, JOINTS, SEED, action_space, ticks_per_action
 from .scene_stepper import SceneStepper, commanded_share, scene_fingers
 from .skill_programs import build_scene_program
+from .success_judges import Judge
 from .yamsim_scene import BENCHMARK, YamsimTaskScene, build_task_scene
 
 _STATE_TOLERANCE = 1e-6  # rad and gripper shares, between observed and simulated state: rounding
@@ -165,6 +166,21 @@ class PlanningScene:
         """Free the simulation and the planning context's cache."""
         self.context.clear_cache()
         self.simulator.close()
+
+
+def run_expert(
+    planning: PlanningScene, judge: Judge, max_actions: int, after_motion: Callable[[], None] | None = None
+) -> int:
+    """Let the expert act until the judge reports success, and return the number of actions.
+
+    No motion begins after `max_actions`, but the last one may exceed them. `after_motion` is called after each motion.
+    """
+    actions = 0
+    while actions < max_actions and not judge.evaluate()[0]:
+        actions += len(planning.next_actions())
+        if after_motion is not None:
+            after_motion()
+    return actions
 
 
 def is_still(segment: MotionSegment) -> bool:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
+from kitchenbench.sim.success import SCOOP_TOL_G
 
 from ..core.config.objects.object_config import ObjectConfig
 from ..core.config.objects.shapes import RackShape
@@ -14,12 +15,14 @@ from ..core.expert.skills.pick import Pick
 from ..core.expert.skills.place import Place
 from ..core.expert.skills.skill import Skill
 from ..core.geometry.se3 import Array
-from .asset_configs import CRUMPLE_CONDITION, POUR, is_folded_in_thirds
+from .asset_configs import CRUMPLE_CONDITION, is_folded_in_thirds
 from .fold_small import FoldSmall, required_area
 from .lids import OPEN, SEAL
 from .object_poses import T_in_world
 from .open_lid import OpenLid
+from .pasta import POUR, SCOOP
 from .pour import Pour
+from .scoop import Scoop
 from .sorting import Sort
 
 _RACK_BOW_CLEARANCE = 0.008  # m, between a dish and the bow at an end of the rack
@@ -58,9 +61,22 @@ def build_scene_program(
             return [OpenLid(thing=roles["container"][0])]
         case kind if kind == POUR:
             return [Pour(thing=roles["source"][0], into=roles["vessel"][0])]
+        case kind if kind == SCOOP:
+            return [_scoop(blueprint)]
         case kind if kind == SEAL:
             return _pick_and_place(roles["lid"][0], Place(thing=roles["lid"][0], on=roles["container"][0]))
     raise LookupError(f"scene {blueprint.scene_id!r}: no expert for goals of kind {blueprint.target_kind!r}")
+
+
+def _scoop(blueprint: SceneBlueprint) -> Skill:
+    wanted = blueprint.success_params
+    return Scoop(
+        tool=blueprint.roles["tool"][0],
+        source=blueprint.roles["substance"][0],
+        into=blueprint.roles["container"][0],
+        grams=float(wanted["target_g"]),
+        tolerance=float(wanted.get("tol_g", SCOOP_TOL_G)),
+    )
 
 
 def _fold_program(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], cloth: str) -> list[Skill]:

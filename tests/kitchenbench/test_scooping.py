@@ -1,0 +1,160 @@
+"""Scenes of scooping: their dish and pieces, strokes of the tools, the mass by piece, and the checker's verdicts."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("inspect_robots", reason="needs yamsim[inspect]")
+pytest.importorskip("kitchenbench", reason="needs yamsim[inspect]")
+
+from inspect_robots.rollout import derive_seed
+from kitchenbench import tasks
+from kitchenbench.sim import build_blueprint
+
+from yamsim_cli.core.config.program_task import Role
+from yamsim_cli.core.geometry.se3 import pose, rotation_z
+from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene, open_station_session
+from yamsim_cli.kitchenbench.object_poses import feasible_poses
+from yamsim_cli.kitchenbench.pasta import fillings_of, is_body, is_pile, pasta_config_of
+from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
+from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
+from yamsim_cli.kitchenbench.scoop_strokes import pieces_on_spoon, stroke_headings, tool_of
+from yamsim_cli.kitchenbench.success_judges import KitchenJudge
+from yamsim_cli.loose_pieces import loose_pieces, piece_count, stacked_poses
+
+SCENES = {scene.id: scene for scene in tasks.TASK_FACTORIES["scoop_pasta"]().scenes}
+LEVEL, SHALLOW, MIXED = "scoop-pasta-measuring-cup-level", "scoop-pasta-shallow-pile", "scoop-pasta-spoon-penne"
+
+
+@pytest.fixture(scope="module")
+def base() -> Any:
+    return open_station_session("64x48", images=False)
+
+
+def blueprint_of(name: str, epoch: int = 0) -> Any:
+    return build_blueprint(SCENES[name], derive_seed(0, SCENES[name].init_seed, epoch))
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_every_dish_holds_its_pile_and_more_than_is_asked_for(name: str, base: Any) -> None:
+    for epoch in range(3):
+        blueprint = blueprint_of(name, epoch)
+        ((filled, filling),) = fillings_of(blueprint, base.locations).items()
+        assert filled == blueprint.roles["substance"][0]
+        assert filling.grams > blueprint.success_params["target_g"] * 1.4
+        assert piece_count(filling) == (36, pytest.approx(1.0, abs=0.01))
+        item = next(one for one in blueprint.objects if one.name == filled)
+        assert is_pile(item) and is_body(item)
+        config = pasta_config_of(item, blueprint, base.locations)
+        task = base.config.task.model_copy(update={"things": {filled: Role(of=(config,), filled=filling)}})
+        places = stacked_poses(task, filled)
+        assert len(places) == len(loose_pieces(task)[filled])
+        # One end of the dish is free for the tool.
+        free = config.shape.size_mm[1] / 2000 - config.shape.wall_mm / 1000 - places[:, 1].max()
+        assert free > 0.05
+
+
+@pytest.mark.parametrize("epoch", [0, 1])
+def test_tool_and_container_stand_beside_the_dish(epoch: int, base: Any) -> None:
+    blueprint = blueprint_of(MIXED, epoch)
+    realized = build_benchmark_scene(blueprint, base)
+    try:
+        world = realized.new_episode().world
+        low, high = world.aabb("pile")
+        assert world.aabb("tool")[0][1] > high[1]
+        assert world.aabb("container")[1][1] < low[1]
+        assert set(feasible_poses(realized.simulator, blueprint)) == {"container", "pile", "tool"}
+        text = " ".join(realized.unrealized)
+        assert "36 solid pieces" in text and "in a dish of 156 x 230 x 36 mm" in text
+    finally:
+        realized.simulator.close()
+
+
+@pytest.mark.parametrize(("name", "epoch", "is_spoon"), [(SHALLOW, 0, True), (LEVEL, 0, False)])
+def test_a_stroke_stays_between_the_walls_of_the_dish(name: str, epoch: int, is_spoon: bool, base: Any) -> None:
+    blueprint = blueprint_of(name, epoch)
+    configs = {
+        item.name: pasta_config_of(item, blueprint, base.locations) for item in blueprint.objects if is_body(item)
+    }
+    grasp = pose((0.0, 0.0, 0.05), [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    tool = tool_of(configs["tool"], grasp)
+    assert tool is not None and tool.is_spoon == is_spoon
+    T_dish = pose((0.3, 0.4, 0.0), rotation_z(0.3))
+    for heading in stroke_headings(T_dish):
+        tips = [T @ np.array([*tool.tip, 1.0]) for T in tool.stroke(configs["pile"], T_dish, heading, 0.0)]
+        along = np.array([(tip[:3] - T_dish[:3, 3]) @ (math.cos(heading), math.sin(heading), 0.0) for tip in tips])
+        half, floor = configs["pile"].shape.size_mm[1] / 2000, configs["pile"].shape.wall_mm / 1000
+        assert (np.abs(along) < half).all()
+        assert np.argmax(along) in (3, 4, 5) and along[1] < 0.0
+        assert min(tip[2] for tip in tips) >= floor - 1e-9
+        assert tips[-1][2] > 0.1
+
+
+def test_a_cup_tilts_towards_the_direction_of_the_grasp(base: Any) -> None:
+    blueprint = blueprint_of(LEVEL)
+    item = next(one for one in blueprint.objects if one.name == "tool")
+    config = pasta_config_of(item, blueprint, base.locations)
+    tool = tool_of(config, pose((0.0, 0.0, 0.05), [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]))
+    assert tool is not None
+    lying = tool.pose_at(np.array((0.0, 0.0, 0.1)), math.pi / 2, math.radians(90))
+    assert lying[:3, 2] == pytest.approx((0.0, 1.0, 0.0), abs=1e-9)
+    assert (lying @ [*tool.tip, 1.0])[:3] == pytest.approx((0.0, 0.0, 0.1))
+
+
+def test_pieces_over_the_head_of_a_spoon_count_as_carried() -> None:
+    T = pose((0.2, 0.1, 0.3), rotation_z(1.0))
+    local = np.array([[0.0, 0.06, 0.01], [0.0, -0.05, 0.01], [0.05, 0.06, 0.01], [0.0, 0.06, 0.12]])
+    centres = local @ T[:3, :3].T + T[:3, 3]
+    assert pieces_on_spoon(T, centres).tolist() == [True, False, False, False]
+
+
+@pytest.mark.slow
+def test_scooped_mass_counts_by_piece_and_too_much_is_no_success(base: Any) -> None:
+    blueprint = blueprint_of(LEVEL)
+    target, tolerance = (float(blueprint.success_params[key]) for key in ("target_g", "tol_g"))
+    realized = build_benchmark_scene(blueprint, base)
+    try:
+        motion = SceneStepper(realized, 30)
+        judge = KitchenJudge(realized, motion)
+        mass = judge.world.contained_mass_g
+        motion.execute_action(motion.last_reference)
+        assert mass("pile", "pile") == pytest.approx(240.0)
+        assert mass("pile", "container") == 0.0 and not judge.evaluate()[0]
+        model, data = realized.simulator.scene.model, motion.data
+        middle = realized.simulator.scene.object_qpos["container"]
+        joints = list(realized.simulator.scene.pieces["pile"])
+        verdicts = []
+        for count in range(1, len(joints) + 1):
+            address = model.jnt_qposadr[joints[count - 1]]
+            data.qpos[address : address + 3] = data.qpos[middle : middle + 3] + np.array([0.0, 0.0, 0.05])
+            mujoco.mj_forward(model, data)
+            grams = mass("pile", "container")
+            assert grams == pytest.approx(240.0 * count / len(joints))
+            verdicts.append(judge.evaluate()[0])
+            assert verdicts[-1] == (abs(grams - target) <= tolerance)
+        assert any(verdicts) and not verdicts[-1]
+    finally:
+        realized.simulator.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "epoch"), [(SHALLOW, 4), (MIXED, 1)])
+def test_the_expert_scoops(name: str, epoch: int, base: Any) -> None:
+    """With a spoon, then with a measuring cup."""
+    blueprint = blueprint_of(name, epoch)
+    realized = build_benchmark_scene(blueprint, base)
+    planning = PlanningScene(realized, int(derive_seed(0, SCENES[name].init_seed, epoch)), 10)
+    try:
+        judge = KitchenJudge(realized, planning.motion)
+        run_expert(planning, judge, 120)
+        assert judge.evaluate()[0]
+        arrived = judge.world.contained_mass_g("pile", "container")
+        assert abs(arrived - blueprint.success_params["target_g"]) <= 15.0
+        assert judge.world.scene.holding_sides("tool")
+    finally:
+        planning.close()

@@ -1,0 +1,68 @@
+"""Loose pieces, and which of them a held object contains."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.attempt_data import FailureCause
+from ..core.expert.skills.planning_context import PlanningContext, SkillFailedError
+from ..core.geometry.se3 import Array
+from ..loose_pieces import piece_name_prefix
+
+
+class LoosePieces:
+    """The loose pieces of a filled object, and how many of them are in `holder` now.
+
+    Attributes:
+        length: of a piece, m.
+
+    Args:
+        filled: the object that the pieces fill at the start.
+        holder: the object that a hand holds; by default `filled`.
+    """
+
+    def __init__(self, context: PlanningContext, filled: str, holder: str | None = None) -> None:
+        self._context, self._world, self._thing = context, context.world, holder or filled
+        self._empty = context.object_configs[self._thing]
+        model, prefix = context.model, piece_name_prefix(filled)
+        self._bodies = np.array([k for k in range(model.nbody) if model.body(k).name.startswith(prefix)], dtype=int)
+        if not len(self._bodies):
+            raise SkillFailedError(FailureCause.UNREACHABLE, f"the {filled} has no loose pieces")
+        self.length = 2 * float(model.geom_size[model.body_geomadr[self._bodies[0]]][:2].sum())
+
+    def weigh(self) -> None:
+        """Let the planning context know the mass and the centre of mass of the source with the pieces in it now."""
+        data, model = self._world.data, self._context.model
+        T = self._world.pose(self._thing)
+        bodies = self._bodies[self._are_inside()]
+        masses = model.body_mass[bodies]
+        centres = (data.xipos[bodies] - T[:3, 3]) @ T[:3, :3]
+        empty = self._empty.inertia
+        total = empty.mass + float(masses.sum())
+        centre = (empty.mass * np.array(empty.centre) + masses @ centres) / total
+        inertia = empty.model_copy(update={"mass_g": 1000 * total, "centre": tuple(float(x) for x in centre)})
+        filled = self._empty.model_copy(update={"inertia": inertia})
+        self._context.object_configs = {**self._context.object_configs, self._thing: filled}
+
+    @property
+    def centres(self) -> Array:
+        """The centres (n, 3) of all pieces in `world`, m."""
+        centres: Array = self._world.data.xipos[self._bodies]
+        return centres
+
+    def grams(self, counted: NDArray[np.bool_]) -> float:
+        """Return the mass of the pieces with a flag (n,), g."""
+        return 1000 * float(self._context.model.body_mass[self._bodies[counted]].sum())
+
+    def grams_in(self, container: str) -> float:
+        """Return the mass of the pieces whose centres are in a container's interior, g."""
+        return self.grams(self._world.points_inside(container, self.centres))
+
+    @property
+    def left_share(self) -> float:
+        """Share of the pieces that are not in the source any more."""
+        return 1.0 - float(self._are_inside().mean())
+
+    def _are_inside(self) -> NDArray[np.bool_]:
+        return self._world.points_inside(self._thing, self.centres)

@@ -1,0 +1,149 @@
+"""Pasta in KitchenBench's scenes of pouring and scooping: what holds it, its pieces, and how coarse they are.
+
+A scene of pouring names the object that is full of pasta, and gives the mass. A scene of scooping names only a pile,
+and the pile's object is then a dish with pasta in it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from kitchenbench.sim.blueprint import SceneBlueprint, SceneObject
+
+from ..core.config.loader import load_config
+from ..core.config.objects.object_config import ObjectConfig
+from ..core.config.program_task import Filling
+from ..core.files.resources import Locations
+from ..loose_pieces import piece_count
+from .asset_configs import COMPARTMENT, object_config_of, shape_data, with_shape
+
+#: The kinds of KitchenBench's goals in which a substance is poured into a vessel, and scooped into a container.
+POUR, SCOOP = "pour_into", "scoop_transfer"
+#: The condition of a scene that gives the length of its pasta.
+STRAND_CONDITION = "strand_length_cm"
+# Asset of a substance -> object config of one piece.
+_PIECE_CONFIGS = {"dry_pasta": "kitchen_dry_pasta", "penne": "kitchen_penne", "rigatoni": "kitchen_rigatoni"}
+_DIAMETER_DIGITS = 3  # decimals of a thicker piece's diameter in mm
+# Largest number of pieces: a second of physics takes 4 to 5 s of a core with 60, and 3 to 4 s with 44. With 40, not
+# every source holds its pasta.
+_MAX_PIECES = 44
+_CARTON_ASSET, _CARTON_WALL, _CARTON_MASS = "pasta_box", 1.5, 30.0  # asset of a carton; its wall, mm; its mass, g
+
+# g, of a pile to scoop from; the benchmark gives no mass. The largest mass to scoop is 160 g.
+_PILE_GRAMS = 240.0
+_MAX_SCOOPED_PIECES = 36  # of a pile; more do not leave the end of the dish free where a tool goes down
+# Friction of pieces, dish, tool and container. With the 0.8 of kitchen objects, a cup took up few pieces, and they did
+# not slide out of it.
+_SCOOPED_FRICTION = 0.35
+# object config whose material the dish has, and its mass, g: a tool pushes a lighter one away
+_DISH_CONFIG, _DISH_GRAMS = "kitchen_container", 700.0
+# mm, of the dish that holds a pile: wide enough for the fingers beside a measuring cup, and low enough for the handle
+# of a spoon. At the start, the pieces lie at one end, so that a tool goes down beside them.
+_DISH_SIDES = (156.0, 230.0, 36.0)
+_DISH_WALL, _DISH_CORNER = 6.0, 10.0
+
+
+def is_pile(item: SceneObject) -> bool:
+    """Whether a blueprint's object is a pile of pasta, which lies in a dish."""
+    return item.asset in _PIECE_CONFIGS and item.parent is None
+
+
+def is_body(item: SceneObject) -> bool:
+    """Whether a blueprint's object is a body of its own: no compartment of a tray, and no substance in another one."""
+    return item.asset != COMPARTMENT and (item.asset not in _PIECE_CONFIGS or is_pile(item))
+
+
+def pasta_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Locations) -> ObjectConfig:
+    """Return the config of an object in a scene with pasta.
+
+    A carton of pasta is empty and open at its top. A pile's object is its dish. Raise LookupError if yamsim has none
+    for the asset.
+    """
+    if is_pile(item):
+        base = load_config(ObjectConfig, "objects", _DISH_CONFIG, locations).with_name(item.name)
+        sizes = {"size_mm": _DISH_SIDES, "wall_mm": _DISH_WALL, "corner_mm": _DISH_CORNER, "taper_mm": 0.0}
+        return _smooth(with_shape(base, {**shape_data(base), **sizes, "mass_g": _DISH_GRAMS}))
+    base = object_config_of(item, blueprint.conditions, locations, nests=False)
+    if blueprint.target_kind == SCOOP:
+        return _smooth(base)
+    if item.asset != _CARTON_ASSET:
+        return base
+    data = shape_data(base)
+    carton = {"family": "container", "size_mm": data["size_mm"], "wall_mm": _CARTON_WALL, "corner_mm": _CARTON_WALL}
+    return with_shape(base, {**carton, "mass_g": _CARTON_MASS, "materials": {"body": data["materials"]["body"]}})
+
+
+def fillings_of(blueprint: SceneBlueprint, locations: Locations) -> dict[str, Filling]:
+    """Return object -> its filling, for a blueprint's substances. `strand_length_cm` is the length of a piece."""
+    found = {}
+    for item in blueprint.objects:
+        if item.asset not in _PIECE_CONFIGS:
+            continue
+        grams, most = (_PILE_GRAMS, _MAX_SCOOPED_PIECES) if is_pile(item) else (item.amount_g, _MAX_PIECES)
+        if grams is None:
+            continue
+        piece = _solid_piece(item.asset, locations)
+        if STRAND_CONDITION in blueprint.conditions:
+            length = 10.0 * float(blueprint.conditions[STRAND_CONDITION])
+            piece = with_shape(piece, {**shape_data(piece), "length_mm": length})
+        piece = _thick_enough(piece, grams, most, is_pile(item))
+        if is_pile(item):
+            piece = _smooth(piece)
+        found[item.parent or item.name] = Filling(of=piece, grams=grams, max_pieces=most)
+    return found
+
+
+def _smooth(item: ObjectConfig) -> ObjectConfig:
+    """Return an object on which pasta slides as on steel. MuJoCo takes the larger friction of two objects."""
+    friction = (_SCOOPED_FRICTION, *item.contact.friction[1:])
+    return item.model_copy(update={"contact": item.contact.model_copy(update={"friction": friction})})
+
+
+def _solid_piece(asset: str, locations: Locations) -> ObjectConfig:
+    """Return the config of a piece: a rod with the length and the diameter of the asset, also for a tube."""
+    piece = load_config(ObjectConfig, "objects", _PIECE_CONFIGS[asset], locations)
+    data = shape_data(piece)
+    if not data["wall_mm"]:
+        return piece
+    return with_shape(piece, {**data, "wall_mm": 0.0, "slant_deg": 0.0, "ridges": 0})
+
+
+def _thick_enough(piece: ObjectConfig, grams: float, most: int, thinner: bool) -> ObjectConfig:
+    """Return a piece so thick that `most` of them weigh `grams`, if thinner ones would be too many.
+
+    With `thinner`, also a thicker piece gets as thin as that.
+
+    Longer pieces would wedge themselves between the walls of a carton, which are 37 mm apart: one of 70 mm can lean by
+    26 degrees at most there, and friction (0.8) holds a piece that leans by less than 39 degrees.
+    """
+    factor = math.sqrt(grams / (most * piece.inertia.mass_g))
+    if factor <= 1.0 and not thinner:
+        return piece
+    data = shape_data(piece)
+    return with_shape(piece, {**data, "diameter_mm": round(factor * data["diameter_mm"], _DIAMETER_DIGITS)})
+
+
+def describe_coarse_pieces(filled: str, filling: Filling, blueprint: SceneBlueprint, locations: Locations) -> str:
+    """Return how the pieces in `filled` differ from those of their asset, as a sentence, or ""."""
+    item = next(one for one in blueprint.objects if one.asset in _PIECE_CONFIGS and filled in (one.parent, one.name))
+    nominal = load_config(ObjectConfig, "objects", _PIECE_CONFIGS[item.asset], locations)
+    data: dict[str, Any] = shape_data(nominal)
+    thick, count = shape_data(filling.of)["diameter_mm"], piece_count(filling)[0]
+    text = f"{filling.of.name}: {filling.grams:.0f} g are {count}"
+    if data["wall_mm"]:
+        each, tube = (
+            filling.grams / count,
+            f"tubes {data['diameter_mm']:.1f} mm thick of {nominal.inertia.mass_g:.1f} g",
+        )
+        return f"{text} solid pieces {thick:.1f} mm thick of {each:.1f} g instead of {tube}"
+    if thick <= data["diameter_mm"]:
+        return ""
+    return f"{text} pieces {thick:.1f} mm thick instead of {data['diameter_mm']:.1f} mm"
+
+
+def describe_pile(item: SceneObject) -> str:
+    """Return what yamsim chooses for a pile that a blueprint does not define, as a sentence."""
+    depth = "" if item.size_cm is None else f"; its depth of {item.size_cm:g} cm is not simulated"
+    size = " x ".join(f"{side:.0f}" for side in _DISH_SIDES) + " mm"
+    return f"{item.name}: {_PILE_GRAMS:.0f} g, in a dish of {size}{depth}"

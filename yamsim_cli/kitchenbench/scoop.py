@@ -1,0 +1,295 @@
+"""Scoop loose pieces out of a dish into a container, by a spoon or a measuring cup."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import FiniteFloat
+
+from ..core.attempt_data import FailureCause
+from ..core.config.goals.role_assignment import RoleAssignment
+from ..core.config.goals.world import TABLE
+from ..core.expert.planning.collision_checker import AttachedObject
+from ..core.expert.skills.common_motions import release_and_retreat, rest_segment
+from ..core.expert.skills.hand import Hand
+from ..core.expert.skills.pick import Pick, ReachableGrasp, summarize_reasons
+from ..core.expert.skills.planning_context import MotionSegment, PlanningContext, SkillFailedError
+from ..core.expert.skills.skill import Skill, find_holding_hand
+from ..core.files.documents.units import QuantityBounds
+from ..core.geometry.se3 import Array, invert_pose, rotation_from_vector, rotation_vector
+from .held_pieces import LoosePieces
+from .scoop_strokes import (
+    ScoopTool,
+    pieces_on_spoon,
+    plan_knots,
+    plan_laying_down,
+    plan_release,
+    stroke_headings,
+    tool_grasps,
+    tool_of,
+)
+from .tilting import TICKS, HeldSource, Tilt, tilt_path
+
+_LIFT = 0.05  # m
+_LAYING_CLEARANCE = 0.01  # m, by which each finger opens to lay the tool down
+_JOINT_STEP = 0.65  # rad, largest change of a joint in an action of a stroke or on the way
+# m, of a stroke from the middle of the dish
+_ASIDE = (0.0, 0.008, -0.008, 0.016, -0.016, 0.03, -0.03, 0.045, -0.045)
+# Pieces of a stroke's score: those ahead of the dish's middle count, those where the tool goes down hinder it, m. A
+# stroke that brought nothing is worth less.
+_AHEAD, _BEHIND, _FAILED_COST = 0.0, -0.03, 6
+# rad, of a tool's tilt in an action; actions in which the tool waits at its largest tilt
+_SPOON_STEP, _POUR_STEP, _MAX_WAITS = math.radians(45), math.radians(20), 2
+_WAY_SHARES = (0.33, 0.67)  # of the way to the container and back, at which the tool's pose is set
+_MAX_WAY_STEP = 1.5  # rad, of a joint on the last part of such a way; more is another posture
+_MAX_SCOOPS = 14
+_MAX_EMPTY = 4  # scoops in a row that bring nothing, after which the expert gives up
+
+
+@dataclass(frozen=True)
+class _Stroke:
+    """A stroke: joints (n, dof) of its poses, its heading, rad, and its distance from the middle of the dish, m."""
+
+    joints: Array
+    heading: float
+    aside: float
+
+
+class _NoStrokeError(SkillFailedError):
+    """No stroke is possible with the tool as it lies in the hand, where it turns little by little."""
+
+
+class Scoop(Skill):
+    """Scoop `grams` (g) of the loose pieces in `source` into another object with a `tool`, up to `tolerance` (g)."""
+
+    ROLES: ClassVar[tuple[str, ...]] = ("tool", "source", "into")
+    REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
+    LEAVES_OBJECT_HELD: ClassVar[bool | None] = True
+    tool: str
+    source: str
+    into: str
+    grams: Annotated[FiniteFloat, QuantityBounds("g", 0, 1000)]
+    tolerance: Annotated[FiniteFloat, QuantityBounds("g", 0, 1000)]
+
+    def run(
+        self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
+    ) -> Iterator[MotionSegment]:
+        """Do nothing if the container holds enough already; see `Skill.run`."""
+        tool, source, into = (roles.object_of(role) for role in (self.tool, self.source, self.into))
+        pieces = LoosePieces(context, source, tool)
+        job = _Job(context, tool, source, into, pieces)
+        missing = self.grams - pieces.grams_in(into)
+        if missing <= self.tolerance:
+            return
+        T_start, configs, empty = context.world.pose(tool), context.object_configs, 0
+        try:
+            for _ in range(_MAX_SCOOPS):
+                missing = self.grams - pieces.grams_in(into)
+                if missing <= self.tolerance or empty == _MAX_EMPTY:
+                    break
+                yield from self._take(context, job)
+                moved = pieces.grams_in(into)
+                try:
+                    yield from job.scoop_once(missing, self.tolerance)
+                except _NoStrokeError:
+                    yield from job.lay_down(T_start)
+                empty = 0 if pieces.grams_in(into) > moved else empty + 1
+        finally:
+            context.object_configs = configs
+        missing = self.grams - pieces.grams_in(into)
+        if abs(missing) > self.tolerance:
+            raise SkillFailedError(FailureCause.GOAL, f"{missing:.0f} g are missing in the {into}")
+
+    def _take(self, context: PlanningContext, job: _Job) -> Iterator[MotionSegment]:
+        """Yield the motions that grasp the tool, unless a hand holds it."""
+        hand = find_holding_hand(context, job.tool_name)
+        if hand is None:
+            hand, grasp = self._find_grasp(context, job)
+            yield from Pick(thing=self.tool, lift=_LIFT).grasp_and_lift(context, hand, job.tool_name, grasp)
+        held = context.measure_held_object(hand)
+        job.use(hand, tool_of(context.object_configs[job.tool_name], invert_pose(held.T_thing_in_pinch)))
+
+    def _find_grasp(self, context: PlanningContext, job: _Job) -> tuple[Hand, ReachableGrasp]:
+        """Return the hand and the first grasp with which a stroke and a tilt over the container are possible."""
+        picker, reasons = Pick(thing=self.tool, lift=_LIFT), dict[str, int]()
+        config = context.object_configs[job.tool_name]
+        hands = sorted(
+            context.free_hands("any"),
+            key=lambda hand: float(
+                np.linalg.norm(context.world.pose(job.tool_name)[:2, 3] - hand.arm.T_base_in_world[:2, 3])
+            ),
+        )
+        for hand in hands:
+            for candidate in tool_grasps(config):
+                found = picker.find_reachable_grasp(context, hand, job.tool_name, candidate)
+                if not isinstance(found, ReachableGrasp):
+                    if found is not None:
+                        reasons[found] = reasons.get(found, 0) + 1
+                    continue
+                tool = tool_of(config, candidate.T_pinch_in_thing)
+                assert tool is not None
+                job.use(hand, tool)
+                T = invert_pose(candidate.T_pinch_in_thing)
+                why = job.find_infeasibility(T, found.grasp_joints, candidate.opening)
+                if why is None:
+                    return hand, found
+                reasons[why] = reasons.get(why, 0) + 1
+        raise SkillFailedError(FailureCause.UNREACHABLE, f"no grasp to scoop: {summarize_reasons(reasons)}")
+
+
+class _Job:
+    """Scooping with a tool in a hand."""
+
+    def __init__(self, context: PlanningContext, tool: str, source: str, into: str, pieces: LoosePieces) -> None:
+        self.context, self.tool_name, self.source, self.into, self.pieces = context, tool, source, into, pieces
+        self.hand: Hand
+        self.tool: ScoopTool
+        self.failed: set[tuple[float, float]] = set()
+
+    def use(self, hand: Hand, tool: ScoopTool | None) -> None:
+        """Set the hand and its tool."""
+        assert tool is not None, "a spoon or a cup scoops"
+        self.hand, self.tool = hand, tool
+
+    def find_infeasibility(self, T_thing_in_pinch: Array, joints: Array, opening: float) -> str | None:
+        """Return why a grasp does not allow to scoop, or None. The tool's pose is (4, 4), the hand's joints (dof,)."""
+        stroke = self.best_stroke(T_thing_in_pinch, joints, opening)
+        if stroke is None:
+            return f"the {self.hand.side} arm cannot move the {self.tool_name} through the {self.source}"
+        if self.release(self.into, T_thing_in_pinch, stroke.joints[-1], opening, stroke.heading) is None:
+            return f"the {self.hand.side} arm cannot tilt the {self.tool_name} over the {self.into}"
+        return None
+
+    def best_stroke(self, T_thing_in_pinch: Array, joints: Array, opening: float) -> _Stroke | None:
+        """Return the free stroke with most pieces in its swath."""
+        context = self.context
+        load = AttachedObject(self.tool_name, T_thing_in_pinch, (self.source,))
+        T_dish, dish = context.world.pose(self.source), context.object_configs[self.source]
+        off = (self.pieces.centres - T_dish[:3, 3])[self.context.world.points_inside(self.source, self.pieces.centres)]
+        options = []
+        for heading in stroke_headings(T_dish):
+            ahead = np.array((math.cos(heading), math.sin(heading), 0.0))
+            along, left = off @ ahead, off @ np.array((-ahead[1], ahead[0], 0.0))
+            for aside in _ASIDE:
+                near = np.abs(left - aside) < self.tool.half_width
+                score = int((near & (along > _AHEAD)).sum()) - int((near & (along < _BEHIND)).sum())
+                score -= _FAILED_COST * ((heading, aside) in self.failed)
+                options.append((score, heading, aside))
+        options.sort(key=lambda one: (-one[0], abs(one[2])))
+        for _, heading, aside in options:
+            poses = self.tool.stroke(dish, T_dish, heading, aside)
+            rows = plan_knots(context, self.hand, opening, load, poses, joints)
+            if len(rows) == len(poses):
+                return _Stroke(rows, heading, aside)
+        return None
+
+    def release(
+        self, vessel: str, T_thing_in_pinch: Array, joints: Array, opening: float, heading: float
+    ) -> Tilt | None:
+        """Return the motion that tilts the tool over a vessel, from joints (dof,); None if there is none."""
+        load = AttachedObject(self.tool_name, T_thing_in_pinch)
+        source = HeldSource(self.hand, load, joints, opening, self.pieces.length)
+        return plan_release(self.context, source, self.tool, vessel, heading)
+
+    def scoop_once(self, missing: float, tolerance: float) -> Iterator[MotionSegment]:
+        """Yield the motions of one scoop, which brings `missing` g at most, give or take `tolerance`, g."""
+        context, hand = self.context, self.hand
+        held = context.measure_held_object(hand)
+        T = held.T_thing_in_pinch
+        stroke = self.best_stroke(T, hand.joints, hand.opening)
+        if stroke is None:
+            raise _NoStrokeError(FailureCause.UNREACHABLE, f"no free stroke of the {self.tool_name}")
+        yield from self.travel(stroke.joints[0])
+        yield from self.follow(stroke.joints[1:])
+        held = context.measure_held_object(hand)
+        carried = self.carried()
+        if not carried:
+            self.failed.add((stroke.heading, stroke.aside))
+            return
+        self.failed.clear()
+        if carried > missing + tolerance:
+            back = self.release(self.source, held.T_thing_in_pinch, hand.joints, hand.opening, stroke.heading)
+            if back is None:
+                return
+            yield from self.travel(back.joints[0])
+            yield from self.tilt(back, lambda: self.carried() <= missing + tolerance / 2)
+            if not self.carried():
+                return
+        tilt = self.release(self.into, held.T_thing_in_pinch, hand.joints, hand.opening, stroke.heading)
+        if tilt is None:
+            raise SkillFailedError(
+                FailureCause.UNREACHABLE, f"no way to tilt the {self.tool_name} over the {self.into}"
+            )
+        yield from self.travel(tilt.joints[0])
+        yield from self.tilt(tilt, lambda: self.carried() == 0)
+
+    def lay_down(self, T_start: Array) -> Iterator[MotionSegment]:
+        """Yield the motions that lay the tool down near its first pose (4, 4), for another grasp."""
+        context, hand = self.context, self.hand
+        held = hand.held_object
+        assert held is not None
+        load = AttachedObject(self.tool_name, held.T_thing_in_pinch, (TABLE,))
+        found = plan_laying_down(context, hand, load, T_start)
+        if found is None:
+            raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to lay the {self.tool_name} down")
+        yield from self.travel(found[0])
+        yield from self.follow(np.array(found[1:]))
+        yield from release_and_retreat(context, hand, _LAYING_CLEARANCE)
+        yield rest_segment(context)
+
+    def carried(self) -> float:
+        """Return the mass of the pieces on or in the tool, g."""
+        if not self.tool.is_spoon:
+            return self.pieces.grams_in(self.tool_name)
+        T_spoon = self.context.world.pose(self.tool_name)
+        return self.pieces.grams(pieces_on_spoon(T_spoon, self.pieces.centres))
+
+    def tilt(self, tilt: Tilt, is_done: Callable[[], bool]) -> Iterator[MotionSegment]:
+        """Yield the motions that tilt the tool step by step until `is_done`, or until it has waited fully tilted."""
+        first, largest = float(tilt.angles[0]), float(tilt.angles[-1])
+        angle = first
+        step, waits = _SPOON_STEP if self.tool.is_spoon else _POUR_STEP, 0
+        while not is_done() and waits < _MAX_WAITS:
+            if not self.tool.is_spoon:
+                self.pieces.weigh()
+            goal = min(angle + step, largest)
+            if goal > angle:
+                yield self.context.make_segment({self.hand: tilt_path(tilt, angle, goal)}, wait_for_arrival=False)
+            else:
+                waits += 1
+                yield self.context.wait_segment(TICKS)
+            angle = goal
+
+    def travel(self, joints: Array) -> Iterator[MotionSegment]:
+        """Yield the motions that bring the tool to other joints, level on the way."""
+        context, hand = self.context, self.hand
+        held = hand.held_object
+        assert held is not None
+        load = AttachedObject(self.tool_name, held.T_thing_in_pinch)
+        T0, T1 = (hand.pinch_pose(at) @ held.T_thing_in_pinch for at in (hand.joints, joints))
+        turn = rotation_vector(T0[:3, :3].T @ T1[:3, :3])
+        poses = []
+        for share in _WAY_SHARES:
+            T = T0.copy()
+            T[:3, 3] += share * (T1[:3, 3] - T0[:3, 3])
+            T[2, 3] = max(T0[2, 3], T1[2, 3])
+            T[:3, :3] = T0[:3, :3] @ rotation_from_vector(share * turn)
+            poses.append(T)
+        rows = plan_knots(context, hand, hand.opening, load, poses, hand.joints)
+        if len(rows) == len(poses) and np.abs(rows[-1] - joints).max() < _MAX_WAY_STEP:
+            yield from self.follow(np.array([*rows, joints]))
+            return
+        path = context.plan_free_path(hand, joints, hand.opening, load)
+        yield context.make_segment({hand: path}, wait_for_arrival=False)
+
+    def follow(self, rows: Array) -> Iterator[MotionSegment]:
+        """Yield the motions through joints (n, dof), evenly between two of them."""
+        for row in rows:
+            start = self.hand.joints
+            actions = max(1, math.ceil(float(np.abs(row - start).max()) / _JOINT_STEP))
+            path = np.linspace(start, row, TICKS * actions + 1)
+            yield self.context.make_segment({self.hand: path}, wait_for_arrival=False)

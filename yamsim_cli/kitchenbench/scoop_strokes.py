@@ -1,0 +1,233 @@
+"""Strokes of a spoon or a measuring cup through a dish of loose pieces: the poses of the tool, and an arm's joints.
+
+A stroke has a heading in `world`, in which the tool moves and its tip or lip points. It goes down into the dish, along
+its floor, and up again along the far wall.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.config.objects.object_config import ObjectConfig
+from ..core.config.objects.shapes import ContainerShape, CutleryShape, VesselShape
+from ..core.expert.planning.collision_checker import AttachedObject
+from ..core.expert.skills.grasp_candidates import GraspCandidate
+from ..core.expert.skills.hand import Hand
+from ..core.expert.skills.planning_context import PlanningContext
+from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_vector, rotation_z
+from .tilting import HeldSource, Tilt, grasps_from_side, height_of, lip_height, opening_radius
+
+_MAX_KNOT_STEP = 1.5  # rad, of a joint between two poses of a stroke; more is another posture
+_CHECKS = (0.5, 1.0)  # shares of the way between two poses at which contacts are checked
+
+# Poses of a stroke: distance of the tip from the dish's far wall along the heading, m; its height over the dish's
+# floor, m; and the tool's angle, degrees: the spoon's pitch, and the cup's tilt. With 85 degrees, the side of the cup
+# lies on the floor, and with less, its foot.
+_SPOON_STROKE = (
+    (-0.170, 0.080, -45), (-0.170, 0.004, -45), (-0.080, 0.002, -25), (-0.015, 0.004, -18), (-0.010, 0.030, 8),
+    (-0.050, 0.130, 16),
+)  # fmt: skip
+_CUP_STROKE = (
+    (-0.150, 0.060, 118), (-0.150, 0.001, 118), (-0.090, 0.000, 104), (-0.012, 0.000, 97), (-0.004, 0.001, 86),
+    (-0.004, 0.033, 65), (-0.030, 0.130, 60),
+)  # fmt: skip
+_SPOON_LEANS = tuple(math.radians(angle) for angle in (15, 30, -15, -30))  # rad, of the hand along the spoon
+# Directions from which a hand may grasp a cup: pads lie flat on its collision boxes.
+_CUP_AZIMUTHS = 8
+_CUP_SHARES = (0.5, 0.6, 0.7)  # heights of that hand, as shares of the cup's height: near its centre of mass
+_SPOON_FORCE, _SPOON_CLEARANCE = 18.0, 0.010  # N of each finger; m, additional opening before closing
+# rad, from the heading of a stroke to that of the spoon over a vessel, in the order tried
+_RELEASE_TURNS = tuple(math.radians(turn) for turn in (0, -30, 30, -60, 60, -90, 90, 120, -120, 150, -150, 180))
+_ROLLS = (0, 1, -1)  # the side to which a spoon rolls over a vessel; 0 for one that tilts down by its tip
+# rad, of a tool's tilt over a vessel
+_SPOON_ANGLES = tuple(math.radians(angle) for angle in range(0, 106, 15))
+_CUP_ANGLES = tuple(math.radians(angle) for angle in range(65, 146, 10))
+# rad, of the largest tilt: the least that a grasp has to allow, and that after which no other way is tried
+_SPOON_RELEASE = math.radians(60), math.radians(90)
+_CUP_RELEASE = math.radians(115), math.radians(125)
+# Shares of the roll of a spoon in its hand that stay when the hand lays it down, and turns about the vertical, rad, in
+# the order tried
+_ROLLS_LEFT, _LAYING_TURNS = (0.0, 0.5, 1.0), tuple(math.radians(turn) for turn in (0, 20, -20, 40, -40))
+_LAYING_OVER, _LAYING_RISE, _LAYING_WAY = 0.004, 0.012, 0.06  # m, from the table; more for a rolled spoon; the way down
+_WAY_COST = 0.3  # rad of tilt that a way longer by 1 rad has to gain
+_LIP_BEHIND, _LIP_GAP = 0.02, 0.025  # m, of a cup's lip behind the vessel's middle, and from the cup to the rim
+# m, of the spoon's tip: behind the vessel's middle and over its rim, and the same for a spoon that rolls to a side
+_TIP_BEHIND, _TIP_OVER, _TIP_AHEAD, _SIDE_OVER = 0.015, 0.03, 0.025, 0.035
+# m in the spoon's frame: the box over its head in which pieces count as carried
+_HEAD_LOW: Array = np.array((-0.035, 0.02, -0.005))
+_HEAD_HIGH: Array = np.array((0.035, 0.115, 0.08))
+
+
+@dataclass(frozen=True)
+class ScoopTool:
+    """A spoon, or a cup whose mouth tilts towards `forward` (3,), a horizontal unit vector in its frame.
+
+    Attributes:
+        tip: the point (3,) in the tool's frame that goes first: a spoon's tip, or a point of a cup's rim, m.
+        half_width: of the swath of a stroke, m.
+    """
+
+    is_spoon: bool
+    forward: Array
+    tip: Array
+    half_width: float
+
+    def pose_at(self, tip: Array, heading: float, angle: float) -> Array:
+        """Return the tool's pose (4, 4) with its tip at a point (3,) in `world`.
+
+        `angle` is the pitch of a spoon, negative with its tip down, or the tilt of a cup, rad.
+        """
+        own = math.atan2(self.forward[1], self.forward[0])
+        ahead = np.array((math.cos(heading), math.sin(heading), 0.0))
+        turn = -angle if self.is_spoon else angle
+        R = rotation_from_vector(turn * np.cross((0.0, 0.0, 1.0), ahead)) @ rotation_z(heading - own)
+        return pose(tip - R @ self.tip, R)
+
+    def stroke(self, dish: ObjectConfig, T_dish: Array, heading: float, aside: float) -> list[Array]:
+        """Return the tool's poses (4, 4) of a stroke along a dish that passes `aside` m to the left of its middle."""
+        assert isinstance(dish.shape, ContainerShape), "a dish is a container"
+        wall, length = dish.shape.wall_mm / 1000, dish.shape.size_mm[1] / 1000
+        ahead = np.array((math.cos(heading), math.sin(heading), 0.0))
+        left = np.array((-ahead[1], ahead[0], 0.0))
+        end = T_dish[:3, 3] + (length / 2 - wall) * ahead + aside * left + (0.0, 0.0, wall)
+        return [
+            self.pose_at(end + along * ahead + (0.0, 0.0, up), heading, math.radians(degrees))
+            for along, up, degrees in (_SPOON_STROKE if self.is_spoon else _CUP_STROKE)
+        ]
+
+
+def stroke_headings(T_dish: Array) -> tuple[float, float]:
+    """Return the two headings in `world` along a dish, rad."""
+    heading = math.atan2(T_dish[1, 1], T_dish[0, 1])
+    return heading, heading + math.pi
+
+
+def tool_of(config: ObjectConfig, T_pinch_in_tool: Array) -> ScoopTool | None:
+    """Return the tool in a grasp; None if it is neither a spoon nor a round vessel."""
+    shape = config.shape
+    if isinstance(shape, CutleryShape) and shape.kind == "spoon":
+        width, length, _ = (size / 1000 for size in shape.size_mm)
+        return ScoopTool(True, np.array((0.0, 1.0, 0.0)), np.array((0.0, length / 2, 0.008)), width / 2)
+    if isinstance(shape, VesselShape):
+        forward = T_pinch_in_tool[:3, 2] * (1.0, 1.0, 0.0)
+        forward /= np.linalg.norm(forward)
+        radius = shape.diameter_mm / 2000
+        return ScoopTool(False, forward, radius * forward + (0.0, 0.0, shape.height_mm / 1000), 0.8 * radius)
+    return None
+
+
+def tool_grasps(config: ObjectConfig) -> Iterator[GraspCandidate]:
+    """Yield grasps of a spoon by its handle, or of a cup from the side."""
+    if isinstance(config.shape, CutleryShape):
+        yield from _handle_grasps(config)
+    else:
+        yield from grasps_from_side(config, _CUP_AZIMUTHS, _CUP_SHARES)
+
+
+def _handle_grasps(config: ObjectConfig) -> Iterator[GraspCandidate]:
+    assert config.grasp is not None and config.grasp.friction is not None, "cutlery can be grasped"
+    points = sorted(config.grasp.friction.points, key=lambda point: abs(point.position[1] - config.inertia.centre[1]))
+    for point, lean, turned in itertools.product(points, _SPOON_LEANS, (False, True)):
+        T = point.T_pinch_in_object(turned) @ pose(rotation=rotation_from_vector((0.0, lean, 0.0)))
+        yield GraspCandidate(T, point.opening, _SPOON_CLEARANCE, _SPOON_FORCE)
+
+
+def pieces_on_spoon(T_spoon: Array, centres: Array) -> NDArray[np.bool_]:
+    """Return whether each piece, by its centre (n, 3) in `world`, is over the head of a spoon at a pose (4, 4)."""
+    local: Array = (centres - T_spoon[:3, 3]) @ T_spoon[:3, :3]
+    return np.asarray(np.all((local >= _HEAD_LOW) & (local <= _HEAD_HIGH), axis=1), dtype=np.bool_)
+
+
+def plan_knots(
+    context: PlanningContext, hand: Hand, opening: float, load: AttachedObject, poses: Sequence[Array], start: Array
+) -> Array:
+    """Return joints (n, dof) that bring a held tool to its poses (4, 4) one after another, as far as there is a way."""
+    rows, T_pinch_in_tool = list[Array](), invert_pose(load.T_thing_in_pinch)
+    for T_tool in poses:
+        found = hand.solve_ik(T_tool @ T_pinch_in_tool, (rows[-1],) if rows else (start, hand.ready_joints))
+        if found is None or (rows and np.abs(found - rows[-1]).max() > _MAX_KNOT_STEP):
+            break
+        between = [found] if not rows else [rows[-1] + share * (found - rows[-1]) for share in _CHECKS]
+        if any(context.find_contact(hand, joints, opening, load) for joints in between):
+            break
+        rows.append(found)
+    return np.array(rows)
+
+
+def plan_release(
+    context: PlanningContext, source: HeldSource, tool: ScoopTool, vessel: str, heading: float
+) -> Tilt | None:
+    """Return the motion that tilts a held tool over the middle of a vessel; None if it is too short.
+
+    A spoon tilts down by its tip, or to a side. A cup tilts further forward.
+    """
+    best: tuple[float, Tilt] | None = None
+    for turn, roll in itertools.product(_RELEASE_TURNS, _ROLLS if tool.is_spoon else (0,)):
+        if tool.is_spoon:
+            angles, poses = _SPOON_ANGLES, _spoon_release(context, tool, vessel, heading + turn, roll)
+        else:
+            angles, poses = _CUP_ANGLES, _cup_release(context, source, tool, vessel, heading + turn)
+        rows = plan_knots(context, source.hand, source.opening, source.load, poses, source.joints)
+        largest = angles[len(rows) - 1] if len(rows) else 0.0
+        least, enough = _SPOON_RELEASE if tool.is_spoon else _CUP_RELEASE
+        if largest < least:
+            continue
+        # A near start saves actions.
+        score = min(largest, enough) - _WAY_COST * float(np.abs(rows[0] - source.joints).max())
+        if best is None or score > best[0]:
+            best = score, Tilt(np.array(angles[: len(rows)]), rows, rows[-1], 0.0, False)
+    return None if best is None else best[1]
+
+
+def _spoon_release(context: PlanningContext, tool: ScoopTool, vessel: str, heading: float, roll: int) -> list[Array]:
+    """Return the poses (4, 4) of a spoon that tilts over a vessel; `roll` is the side to which it rolls, or 0."""
+    ahead = np.array((math.cos(heading), math.sin(heading), 0.0))
+    tip = context.world.pose(vessel)[:3, 3] + (_TIP_AHEAD if roll else -_TIP_BEHIND) * ahead
+    tip[2] += height_of(context.object_configs[vessel]) + (_SIDE_OVER if roll else _TIP_OVER)
+    return [
+        tool.pose_at(tip, heading, 0.0 if roll else -angle) @ _rolled(tool, roll * angle) for angle in _SPOON_ANGLES
+    ]
+
+
+def _cup_release(
+    context: PlanningContext, source: HeldSource, tool: ScoopTool, vessel: str, heading: float
+) -> list[Array]:
+    """Return the poses (4, 4) of a cup that tilts over a vessel, with its lip behind the middle."""
+    ahead = np.array((math.cos(heading), math.sin(heading), 0.0))
+    config, T_vessel = context.object_configs[vessel], context.world.pose(vessel)
+    behind = opening_radius(config) - _LIP_BEHIND
+    tall, rim = height_of(context.object_configs[source.load.thing]), T_vessel[2, 3] + height_of(config)
+    poses = []
+    for angle in _CUP_ANGLES:
+        lip = T_vessel[:3, 3] - _LIP_BEHIND * ahead
+        lip[2] = rim + lip_height(angle, tall, behind, _LIP_GAP)
+        poses.append(tool.pose_at(lip, heading, angle))
+    return poses
+
+
+def plan_laying_down(
+    context: PlanningContext, hand: Hand, load: AttachedObject, T_start: Array
+) -> tuple[Array, Array] | None:
+    """Return joints (dof,) over a held spoon's first place (4, 4) and at it; None if no way to lay it down is free."""
+    T_held = hand.pinch_pose(hand.joints) @ load.T_thing_in_pinch
+    upright = rotation_vector(T_start[:3, :3].T @ T_held[:3, :3])
+    for share, turn in itertools.product(_ROLLS_LEFT, _LAYING_TURNS):
+        T = T_start @ pose(rotation=rotation_z(turn) @ rotation_from_vector(share * upright * (0.0, 1.0, 0.0)))
+        T[2, 3] += _LAYING_OVER + share * _LAYING_RISE
+        T_over = T.copy()
+        T_over[2, 3] += _LAYING_WAY
+        rows = plan_knots(context, hand, hand.opening, load, (T_over, T), hand.joints)
+        if len(rows) == 2:
+            return rows[0], rows[1]
+    return None
+
+
+def _rolled(tool: ScoopTool, angle: float) -> Array:
+    """Return the transform (4, 4) that rolls a spoon about the line along it through its tip."""
+    return pose(tool.tip) @ pose(rotation=rotation_from_vector(angle * tool.forward)) @ pose(-tool.tip)
