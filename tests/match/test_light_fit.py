@@ -25,7 +25,7 @@ def test_a_shadow_that_the_table_lacks_is_an_error() -> None:
     ambient, light = np.full((100, 3), 60.0), np.full((100, 3), 120.0)
     shadowed = light.copy()
     shadowed[:20] = 0.0
-    least = np.full(3, 0.5)
+    least = np.full(3, 0.2)
     even, with_shadow = ambient + light, ambient + shadowed
     assert _table_error([[even, ambient, light]], least) == pytest.approx(0.0, abs=1e-6)
     assert _table_error([[with_shadow, ambient, shadowed]], least) == pytest.approx(0.0, abs=1e-6)
