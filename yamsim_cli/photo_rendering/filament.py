@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import weakref
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.closable import Closable
+from ..core.errors import ResourceError
 from ..core.images.image import Image
 from .filament_context import open_context, require_filament
 from .light_samples import (
@@ -38,6 +40,11 @@ _MIN_TINT = 0.1  # of the mean, the least part of a colour in the sky's light
 _DARK_TONES = (0.015, 0.05)
 _LINEAR_STEPS = 8192  # of linear light in the table of sRGB values: steps of less than 1 of 255
 _MAX_GEOMS = 10_000  # as of the classic renderer
+
+
+_COMPILED_FIELDS = ("geom_group", "geom_matid", "flex_group")  # of `MjModel`, which a scene reads once
+
+_scene_owners: list[weakref.ref[FilamentRenderer]] = []  # the renderer whose scene the process has, if any
 
 
 class FilamentRenderer(Closable):
@@ -77,6 +84,7 @@ class FilamentRenderer(Closable):
         self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._scene: _FilamentScene | None = None
+        self._scene_state = b""
 
     def reload_textures(self) -> None:
         """Take the textures of the model again after they have changed."""
@@ -84,9 +92,7 @@ class FilamentRenderer(Closable):
 
     def render(self, data: mujoco.MjData, camera: str, background: Callable[[], Image]) -> Image:
         """Render an RGB image (height, width, 3) of the state `data`, before an image of the same shape."""
-        if self._scene is None:
-            self._scene = _FilamentScene(self._context, self._model, self._option)
-        scene, model = self._scene, self._model
+        scene, model = self._current_scene(), self._model
         self._camera.fixedcamid = model.camera(camera).id
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(model, data, self._option, None, self._camera, everything, self._abstract)
@@ -101,6 +107,21 @@ class FilamentRenderer(Closable):
         if covered is not None:
             colours += (1 - covered) * _srgb_decoding_table()[background()]
         return _encode_srgb(colours)
+
+    def _current_scene(self) -> _FilamentScene:
+        """Return the scene, made again if parts of it were shown or hidden."""
+        state = b"".join(np.ascontiguousarray(getattr(self._model, key)).tobytes() for key in _COMPILED_FIELDS)
+        owner = _scene_owner()
+        if owner is not self:
+            # Two scenes at once made Filament 4.0.0 fail where one of them shows the sky.
+            if owner is not None:
+                owner._scene = None
+            _scene_owners[:] = [weakref.ref(self)]
+        if self._scene is None or state != self._scene_state:
+            self._scene = None  # frees the old one first
+            self._scene = _FilamentScene(self._context, self._model, self._option)
+            self._scene_state = state
+        return self._scene
 
     def _average(self, data: mujoco.MjData, samples: Sequence[LightSample]) -> NDArray[np.float32]:
         """Return the mean linear light (height, width, 3) of samples."""
@@ -153,11 +174,21 @@ class FilamentRenderer(Closable):
         request.viewport.left = request.viewport.bottom = 0
         request.viewport.width, request.viewport.height = width, height
         request.post_processing = request.reflections = request.haze = request.skybox = False
-        self._context.wait_for_frame(self._context.render([request], [self._read]))
+        try:
+            self._context.wait_for_frame(self._context.render([request], [self._read]))
+        except RuntimeError as error:
+            raise ResourceError(
+                f"{self.description} cannot render an image of {width} x {height} pixels ({error}); take another "
+                "--quality, or run `yamsim doctor`"
+            ) from error
 
     def close(self) -> None:
         """Free the scene. The process keeps Filament's context for other renderers."""
         self._scene = None
+
+
+def _scene_owner() -> FilamentRenderer | None:
+    return _scene_owners[0]() if _scene_owners else None
 
 
 class _FilamentScene:
