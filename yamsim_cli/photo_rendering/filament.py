@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import functools
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,7 @@ class FilamentRenderer(Closable):
         description: name and version of the renderer, and the Vulkan device.
 
     Args:
-        model: the scene. Materials without roughness and metalness get them in place, from their shininess.
+        model: the scene. The roughness of a material that states none follows from its shininess.
         size: width and height of images, px.
         samples: renderings that an image averages, see `light_samples`.
 
@@ -71,7 +72,6 @@ class FilamentRenderer(Closable):
         self._context = open_context()
         from mujoco import mjrf
 
-        _add_roughness(model)
         self._target = self._context.create_render_target(
             mjrf.RenderTargetConfig(color_format=mjrf.PixelFormat.PIXEL_FORMAT_RGB8)
         )
@@ -96,7 +96,8 @@ class FilamentRenderer(Closable):
         self._camera.fixedcamid = model.camera(camera).id
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(model, data, self._option, None, self._camera, everything, self._abstract)
-        scene.renderables.update(data)
+        with _roughness(model):
+            scene.renderables.update(data)
         casting = [k for k in range(model.nlight) if model.light_active[k] and model.light_castshadow[k]]
         light = self._average(data, make_light_samples(self._samples, casting))
         dark = self._average(data, make_dark_samples(self._samples, casting))
@@ -274,15 +275,21 @@ def _sky_tint(model: mujoco.MjModel) -> NDArray[np.float64]:
     return np.maximum(ambient / mean, _MIN_TINT) if mean > 0 else np.ones(3)
 
 
-def _add_roughness(model: mujoco.MjModel) -> None:
-    """Give materials that lack them metalness and roughness; neither physics nor the classic renderer reads these.
+@contextmanager
+def _roughness(model: mujoco.MjModel) -> Iterator[None]:
+    """Give materials that lack them metalness and roughness while Filament reads the model.
 
     The roughness is that of a Blinn-Phong highlight with the exponent 128 x shininess, which OpenGL uses.
     """
+    saved = model.mat_roughness.copy(), model.mat_metallic.copy()
     missing = model.mat_roughness < 0
     exponent = 128 * model.mat_shininess[missing]
     model.mat_roughness[missing] = (2 / (exponent + 2)) ** 0.25
     model.mat_metallic[model.mat_metallic < 0] = 0.0
+    try:
+        yield
+    finally:
+        model.mat_roughness[:], model.mat_metallic[:] = saved
 
 
 @functools.cache
