@@ -199,7 +199,8 @@ class _FilamentScene:
         from mujoco import mjrf
 
         self._model = model
-        self._resources = mjrf.ModelResources(context, model)
+        with _srgb_textures(model):
+            self._resources = mjrf.ModelResources(context, model)
         self.scene = context.create_scene(mjrf.SceneParams())
         self.scene.configure_from_model(model)
         self.renderables = mjrf.ModelRenderables(self.scene, self._resources)
@@ -273,6 +274,18 @@ def _sky_tint(model: mujoco.MjModel) -> NDArray[np.float64]:
     ambient = np.asarray(model.vis.headlight.ambient, np.float64)
     mean = float(ambient.mean())
     return np.maximum(ambient / mean, _MIN_TINT) if mean > 0 else np.ones(3)
+
+
+@contextmanager
+def _srgb_textures(model: mujoco.MjModel) -> Iterator[None]:
+    """Mark textures without a colour space as sRGB while Filament reads them, as colours without textures are."""
+    saved = model.tex_colorspace.copy()
+    unknown = saved == mujoco.mjtColorSpace.mjCOLORSPACE_AUTO.value
+    model.tex_colorspace[unknown] = mujoco.mjtColorSpace.mjCOLORSPACE_SRGB.value
+    try:
+        yield
+    finally:
+        model.tex_colorspace[:] = saved
 
 
 @contextmanager
