@@ -12,7 +12,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..core.closable import Closable
 from ..core.errors import ResourceError
@@ -32,6 +32,7 @@ _DIRECTIONAL_UNIT, _SKY_UNIT = 120_000.0, 32_300.0
 # Factor on all light. OpenGL adds light in sRGB and Filament adds linear light, so sums differ. With this factor, the
 # median of a plain scene is that of quality `high`.
 _EXPOSURE = 0.85
+_SRGB_EXPONENT = 2.2  # of linear light, approximately
 _SKY_SHADOW_SHARE = 0.4  # share of the sky's light that casts shadows; the rest comes from everywhere
 _COVERAGE_SAMPLES = 4  # renderings that find the share of the sky in a pixel, if an image shows any
 _SKY_SHADOW_TEXELS = 512  # edge of the sky's shadow map: coarse texels blur shadows that should have no edges
@@ -247,7 +248,7 @@ class _FilamentScene:
             strength = ambient * _SKY_SHADOW_SHARE * sample.weight / sample.offset[1]
             _set_light(self._sky_caster, data, sky_direction(sample.offset), np.full(3, strength))
         for k, light in enumerate(self._others):
-            colour = model.light_diffuse[k] / tint * gain
+            colour = _linear_colour(model.light_diffuse[k]) / tint * gain
             direction = np.asarray(data.light_xdir[k], np.float64)
             if not model.light_active[k] or (model.light_castshadow[k] and k != sample.source):
                 light.set_active(False)
@@ -257,7 +258,7 @@ class _FilamentScene:
             else:
                 light.set_active(True)
                 _set_light(light, data, direction, colour)
-        shown = model.vis.headlight.diffuse / tint * gain if model.vis.headlight.active else np.zeros(3)
+        shown = _linear_colour(model.vis.headlight.diffuse) / tint * gain * model.vis.headlight.active
         _set_light(self._headlight, data, np.asarray(forward, np.float64), shown)
 
 
@@ -269,9 +270,19 @@ def _set_light(light: Any, data: mujoco.MjData, direction: NDArray[np.float64], 
     light.set_pose(list(np.asarray(data.subtree_com[0]) - direction), list(direction))
 
 
+def _linear_colour(colour: ArrayLike) -> NDArray[np.float64]:
+    """Return a light's colour (3,) for linear light. Its mean stays; OpenGL multiplies sRGB values by the colour."""
+    values = np.asarray(colour, np.float64)
+    mean = float(values.mean())
+    if mean <= 0:
+        return np.zeros(3)
+    linear = (values / mean) ** _SRGB_EXPONENT
+    return np.asarray(mean * linear / linear.mean())
+
+
 def _sky_tint(model: mujoco.MjModel) -> NDArray[np.float64]:
     """Return the colour (3,) of the sky's light, with a mean of 1. Filament's sky is grey."""
-    ambient = np.asarray(model.vis.headlight.ambient, np.float64)
+    ambient = _linear_colour(model.vis.headlight.ambient)
     mean = float(ambient.mean())
     return np.maximum(ambient / mean, _MIN_TINT) if mean > 0 else np.ones(3)
 
