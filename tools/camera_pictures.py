@@ -19,6 +19,7 @@ from PIL import Image as Pillow
 
 from tools.task_pictures import first_success
 from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.procedural.textures import Texture
 from yamsim_cli.session_opener import SessionOpener
 
@@ -72,7 +73,14 @@ def main() -> None:
         "gallery": lambda: ([draw_look(opener, where, *each, size=_GALLERY_SIZE) for each in GALLERY], 3),
     }
     for name in sys.argv[1:] or drawn:
-        write(name, grid(*drawn[name]()))
+        try:
+            tiles, columns = drawn[name]()
+        except ResourceError as error:
+            if name != "gallery":
+                raise
+            sys.stderr.write(f"not drawn: {name}: {error}\n")
+            continue
+        write(name, grid(tiles, columns))
 
 
 def draw_effects(opener: SessionOpener, where: Locations, title: str, keys: dict[str, Any]) -> np.ndarray:
