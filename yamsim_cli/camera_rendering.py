@@ -36,7 +36,7 @@ from .core.images.image import Image
 from .core.rendering.renderer import GeomIds, SceneRenderer
 from .core.scene.random_streams import Stream, random_generator
 from .core.sim.state_replay import StateReplay
-from .photo_rendering.filament import FilamentRenderer
+from .photo_rendering.filament_process import FilamentProcess
 from .scene_photos.embedded_photos import Plate, decode_photo
 from .video_compression import VideoCompression
 
@@ -96,10 +96,10 @@ class QualityRenderer(SceneRenderer):
     """
 
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int], quality: RenderConfig) -> None:
-        self._filament: FilamentRenderer | None = None
+        self._filament: FilamentProcess | None = None
         super().__init__(model, size, quality.fine_size(size), smooth_shadows=quality.smooth_shadows)
         if quality.photo_samples:
-            self._filament = FilamentRenderer(model, size, quality.photo_samples)
+            self._filament = FilamentProcess(model, size, quality.photo_samples)
             self.description = f"{self.description}; {self._filament.description}"
 
     def upload_texture(self, texture: int) -> None:

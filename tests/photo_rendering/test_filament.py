@@ -22,6 +22,7 @@ from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.images.image import Image
+from yamsim_cli.photo_rendering import filament_process
 from yamsim_cli.photo_rendering.filament_context import require_filament
 
 SIZE = (160, 120)
@@ -146,6 +147,35 @@ def test_images_do_not_depend_on_earlier_variations(
                     first = render_cameras(simulator, attempts[0], attempts[0].start, ["scene_camera"])
         assert (images[0]["scene_camera"] == images[1]["scene_camera"]).all()
         assert np.abs(first["scene_camera"].astype(int) - images[0]["scene_camera"]).mean() > 5
+
+
+def test_a_process_that_grew_is_replaced_and_draws_the_same(
+    open_simulator: OpenSimulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    simulator = open_simulator()
+    model = simulator.scene.model
+    model.mat_rgba[model.material("table").id, :3] = [0.1, 0.6, 0.1]
+    images = [picture(simulator, camera) for camera in CAMERAS]
+    filament = simulator.renderer._filament
+    assert filament._process is not None
+    monkeypatch.setattr(filament_process, "_MAX_BYTES", 0)
+    first = filament._process
+    assert (picture(simulator, CAMERAS[0]) == images[0]).all()
+    assert (first.poll(), filament._process) == (0, None)
+    assert (picture(simulator, CAMERAS[1]) == images[1]).all()
+
+
+def test_a_process_that_dies_is_one_error_and_the_next_image_starts_another(open_simulator: OpenSimulator) -> None:
+    simulator = open_simulator()
+    image = picture(simulator)
+    filament = simulator.renderer._filament
+    filament._process.kill()
+    with pytest.raises(ResourceError, match=r"ended with code -9 .*`yamsim doctor`"):
+        picture(simulator)
+    assert (picture(simulator) == image).all()
+    process = filament._process
+    simulator.close()
+    assert process.poll() == 0
 
 
 def test_a_recording_states_filament_and_is_verified(tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ class PlainFilament:
 def simulator(
     make_config: Callable[..., RecordConfig], locations: Locations, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Simulator]:
-    monkeypatch.setattr(camera_rendering, "FilamentRenderer", PlainFilament)
+    monkeypatch.setattr(camera_rendering, "FilamentProcess", PlainFilament)
     config = make_config({("render", "photo_samples"): 5, ("image", "size_px"): list(SIZE), ("wrist",): True})
     with Simulator(Session(config, locations)) as simulator:
         simulator.state_replay.set_state(start_of(simulator))
@@ -119,7 +119,7 @@ def test_textures_and_the_end_reach_filament(simulator: Simulator) -> None:
 def test_a_lens_distorts_images_of_filament(
     make_config: Callable[..., RecordConfig], locations: Locations, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(camera_rendering, "FilamentRenderer", PlainFilament)
+    monkeypatch.setattr(camera_rendering, "FilamentProcess", PlainFilament)
     effects = [{"camera": "scene_camera", "effects": {"letterbox": 1.0, "distortion": [-0.2, 0, 0, 0]}}]
     changes = {
         ("render", "photo_samples"): 1,

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import functools
-import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +12,8 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.closable import Closable
-from ..core.errors import ResourceError
 from ..core.images.image import Image
-from .filament_context import open_context, require_filament
+from .filament_context import open_context
 from .light_samples import (
     SKY,
     LightSample,
@@ -46,29 +42,21 @@ _MAX_GEOMS = 10_000  # as of the classic renderer
 
 _COMPILED_FIELDS = ("geom_group", "geom_matid", "flex_group")  # of `MjModel`, which a scene reads once
 
-_scene_owners: list[weakref.ref[FilamentRenderer]] = []  # the renderer whose scene the process has, if any
 
-
-class FilamentRenderer(Closable):
+class FilamentRenderer:
     """Renders colour images of a model's cameras. Lights, materials and cameras may change between images.
 
-    Equal states give equal images on the same driver: Filament's post-processing, which adds random noise, is off.
+    A process has one at most: two scenes at once made Filament 4.0.0 fail where one of them shows the sky.
 
-    Attributes:
-        description: name and version of the renderer, and the Vulkan device.
+    Equal states give equal images on the same driver: Filament's post-processing, which adds random noise, is off.
 
     Args:
         model: the scene. The roughness of a material that states none follows from its shininess.
         size: width and height of images, px.
         samples: renderings that an image averages, see `light_samples`.
-
-    Raises:
-        ResourceError: `mujoco-studio` is not installed, or no Vulkan driver works.
     """
 
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int], samples: int) -> None:
-        device = require_filament()
-        self.description = f"Filament of mujoco-studio {version('mujoco-studio')}, {device}"
         self._model, self._size, self._samples = model, size, samples
         self._context = open_context()
         from mujoco import mjrf
@@ -113,12 +101,6 @@ class FilamentRenderer(Closable):
     def _current_scene(self) -> _FilamentScene:
         """Return the scene, made again if parts of it were shown or hidden."""
         state = b"".join(np.ascontiguousarray(getattr(self._model, key)).tobytes() for key in _COMPILED_FIELDS)
-        owner = _scene_owner()
-        if owner is not self:
-            # Two scenes at once made Filament 4.0.0 fail where one of them shows the sky.
-            if owner is not None:
-                owner._scene = None
-            _scene_owners[:] = [weakref.ref(self)]
         if self._scene is None or state != self._scene_state:
             self._scene = None  # frees the old one first
             self._scene = _FilamentScene(self._context, self._model, self._option)
@@ -176,21 +158,7 @@ class FilamentRenderer(Closable):
         request.viewport.left = request.viewport.bottom = 0
         request.viewport.width, request.viewport.height = width, height
         request.post_processing = request.reflections = request.haze = request.skybox = False
-        try:
-            self._context.wait_for_frame(self._context.render([request], [self._read]))
-        except RuntimeError as error:
-            raise ResourceError(
-                f"{self.description} cannot render an image of {width} x {height} pixels ({error}); take another "
-                "--quality, or run `yamsim doctor`"
-            ) from error
-
-    def close(self) -> None:
-        """Free the scene. The process keeps Filament's context for other renderers."""
-        self._scene = None
-
-
-def _scene_owner() -> FilamentRenderer | None:
-    return _scene_owners[0]() if _scene_owners else None
+        self._context.wait_for_frame(self._context.render([request], [self._read]))
 
 
 class _FilamentScene:

@@ -54,7 +54,8 @@ def require_filament() -> str:
 
 @functools.cache
 def open_context() -> Any:
-    """Return the process's context of Filament, which every renderer shares."""
+    """Return the process's context of Filament."""
+    import mujoco.studio  # noqa: F401 - registers Filament's materials
     from mujoco import mjrf
 
     with _silent_stdout():
