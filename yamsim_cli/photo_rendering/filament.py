@@ -226,7 +226,7 @@ class _FilamentScene:
             else:
                 light.set_active(True)
                 _set_light(light, data, direction, colour)
-        shown = _linear_colour(model.vis.headlight.diffuse) / tint * gain * model.vis.headlight.active
+        shown = _linear_colour(model.vis.headlight.diffuse) / tint * gain * bool(model.vis.headlight.active)
         _set_light(self._headlight, data, np.asarray(forward, np.float64), shown)
 
 

@@ -25,7 +25,7 @@ from ..core.errors import ResourceError
 from ..core.images.image import Image
 from .filament_context import require_filament
 
-_MAX_BYTES = 1_500_000_000  # of memory of the process, about 50 images, after which another one takes its place
+_MAX_BYTES = 1_500_000_000  # of memory of the process, about 40 images, after which another one takes its place
 _END_SECONDS = 10  # s, for the end of a process that was told to end
 # What an image depends on and attempts vary: fields of `MjModel`, of its headlight, and of `MjData`.
 _MODEL_FIELDS = (
