@@ -32,6 +32,7 @@ def look(locations: Locations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     ) -> dict[str, HealthCheck]:
         found = backends or {"egl": SOFTWARE, "osmesa": "no library"}
         monkeypatch.setattr(doctor, "probe_backend", lambda name, environ: found[name])
+        monkeypatch.setattr(doctor, "require_filament", lambda: "a GPU")
         monkeypatch.setattr(doctor, "GPUS", (str(tmp_path),) if gpu else ())
         where = replace(locations, assets=tmp_path / "assets")
         return {check.name: check for check in run_health_checks(environ or {}, where, out or tmp_path / "dataset")}
@@ -45,7 +46,7 @@ def test_every_check_is_told_as_it_ends(locations: Locations, tmp_path: Path, lo
     checks = run_health_checks({}, locations, tmp_path, told.append)
     assert told == checks
     assert [check.name for check in checks] == names
-    for part in ("packages", "extra.video", "gl.egl", "gl.osmesa", "gl", "meshes.ycb", "disk", "workers"):
+    for part in ("packages", "extra.video", "gl.egl", "gl.osmesa", "gl", "photo", "meshes.ycb", "disk", "workers"):
         assert part in names
 
 

@@ -1,12 +1,14 @@
 """Draw one moment of a pick and place through each camera effect and preset, and in looks, into `docs/images/`.
 
-python -m tools.camera_pictures
+python -m tools.camera_pictures            # all
+python -m tools.camera_pictures gallery    # or some, by the names of their files
 """
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -17,6 +19,7 @@ from PIL import Image as Pillow
 
 from tools.task_pictures import first_success
 from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.procedural.textures import Texture
 from yamsim_cli.session_opener import SessionOpener
 
@@ -47,6 +50,12 @@ EFFECTS: dict[str, dict[str, Any]] = {
     "delay_frames: 2": {"delay_frames": 2},
     "crop, letterbox: 1.6": {"crop": [0.2, 0.2, 0.9, 0.9], "letterbox": 1.6},
 }
+# Ranges, look and quality of each image of the gallery.
+GALLERY = (
+    ("none", 0, "fast"), ("none", 0, "high"), ("none", 0, "photo"),
+    ("looks", 1, "high"), ("looks", 1, "photo"), ("looks", 3, "photo"),
+)  # fmt: skip
+_GALLERY_SIZE = "480x360"
 PRESETS = ("d405", "zed_mini", "wide_fisheye")
 
 
@@ -54,13 +63,24 @@ def main() -> None:
     """Draw and write."""
     opener = SessionOpener(os.environ, lambda text: print(text, file=sys.stderr), str)
     where = opener.choose_gl_backend(opener.find_locations())
-    tiles = [draw_effects(opener, where, title, keys) for title, keys in EFFECTS.items()]
-    write("camera_effects", grid(tiles, 4))
-    write("camera_presets", grid([draw_effects(opener, where, name, {"like": name}) for name in PRESETS], 3))
-    write("looks", grid([draw_look(opener, where, "default", look) for look in range(1, _LOOKS + 1)], 3))
     sets = [(name, look) for name in ("looks", "heldout") for look in range(1, _PROCEDURAL_LOOKS + 1)]
-    write("procedural_looks", grid([draw_look(opener, where, *each) for each in sets], _PROCEDURAL_LOOKS))
-    write("textures", grid([draw_texture(name) for name in get_args(Texture) if name != "plain"], 7))
+    drawn: dict[str, Callable[[], tuple[list[np.ndarray], int]]] = {
+        "camera_effects": lambda: ([draw_effects(opener, where, *each) for each in EFFECTS.items()], 4),
+        "camera_presets": lambda: ([draw_effects(opener, where, name, {"like": name}) for name in PRESETS], 3),
+        "looks": lambda: ([draw_look(opener, where, "default", look) for look in range(1, _LOOKS + 1)], 3),
+        "procedural_looks": lambda: ([draw_look(opener, where, *each) for each in sets], _PROCEDURAL_LOOKS),
+        "textures": lambda: ([draw_texture(name) for name in get_args(Texture) if name != "plain"], 7),
+        "gallery": lambda: ([draw_look(opener, where, *each, size=_GALLERY_SIZE) for each in GALLERY], 3),
+    }
+    for name in sys.argv[1:] or drawn:
+        try:
+            tiles, columns = drawn[name]()
+        except ResourceError as error:
+            if name != "gallery":
+                raise
+            sys.stderr.write(f"not drawn: {name}: {error}\n")
+            continue
+        write(name, grid(tiles, columns))
 
 
 def draw_effects(opener: SessionOpener, where: Locations, title: str, keys: dict[str, Any]) -> np.ndarray:
@@ -89,11 +109,14 @@ def draw_texture(name: str) -> np.ndarray:
     return titled(texture_image(surface, _TEXTURE_SIZE), name)
 
 
-def draw_look(opener: SessionOpener, where: Locations, ranges: str, look: int) -> np.ndarray:
+def draw_look(
+    opener: SessionOpener, where: Locations, ranges: str, look: int, quality: str = "balanced", size: str = _SIZE
+) -> np.ndarray:
     """Return the titled image of a look, with the ranges of a file in `configs/randomization/`."""
-    config = opener.load_record_config("default", where, size=_SIZE, quality="balanced", randomization=ranges)
+    config = opener.load_record_config("default", where, size=size, quality=quality, randomization=ranges)
     session = opener.with_scene_meshes(Session(config.model_copy(update={"look": look}), where))
-    return titled(draw(session), f"look_{look}" if ranges == "default" else f"{ranges}, look_{look}")
+    parts = ([] if quality == "balanced" else [quality]) + ([] if ranges in ("default", "none") else [ranges])
+    return titled(draw(session), ", ".join([*parts, *([f"look_{look}"] if look else [])]))
 
 
 def draw(session: Session) -> np.ndarray:

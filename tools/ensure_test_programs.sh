@@ -1,6 +1,6 @@
 #!/bin/sh
 # Make sure that the slow tests have the programs they run: a browser that takes orders and a screen without hardware for
-# the viewers, and something else than yamsim to read a PDF with.
+# the viewers, something else than yamsim to read a PDF with, and a Vulkan driver for `--quality photo`.
 #
 #   tools/ensure_test_programs.sh
 #
@@ -17,5 +17,7 @@ if ! [ -x /usr/bin/chromium ] || ! [ -x /usr/bin/chromedriver ]; then
 fi
 command -v Xvfb >/dev/null || set -- "$@" xvfb
 command -v pdftoppm >/dev/null || set -- "$@" poppler-utils
+ls /usr/share/vulkan/icd.d/*.json /etc/vulkan/icd.d/*.json 2>/dev/null | grep -q . ||
+    set -- "$@" libvulkan1 mesa-vulkan-drivers
 [ $# -eq 0 ] || apt_install "The slow tests need programs that are not here: $*" "$@"
 echo "Test programs: all here"

@@ -36,6 +36,7 @@ from .core.images.image import Image
 from .core.rendering.renderer import GeomIds, SceneRenderer
 from .core.scene.random_streams import Stream, random_generator
 from .core.sim.state_replay import StateReplay
+from .photo_rendering.filament_process import FilamentProcess
 from .scene_photos.embedded_photos import Plate, decode_photo
 from .video_compression import VideoCompression
 
@@ -84,8 +85,59 @@ def with_lens(ideal: Intrinsics, effects: CameraEffects | None) -> Intrinsics:
     return LensIntrinsics.from_ideal(ideal, effects) if effects and effects.has_lens else ideal
 
 
-class EffectsRenderer(SceneRenderer):
-    """Renders cameras through their lenses and before their plates; other cameras as `SceneRenderer`.
+class QualityRenderer(SceneRenderer):
+    """Renders in a quality. Colour images of `photo` come from Filament, all else from OpenGL.
+
+    Attributes:
+        description: name of the OpenGL implementation; with Filament, also its version and the Vulkan device.
+
+    Raises:
+        ResourceError: as `SceneRenderer`, or Filament or its Vulkan driver is missing.
+    """
+
+    def __init__(self, model: mujoco.MjModel, size: tuple[int, int], quality: RenderConfig) -> None:
+        self._filament: FilamentProcess | None = None
+        super().__init__(model, size, quality.fine_size(size), smooth_shadows=quality.smooth_shadows)
+        if quality.photo_samples:
+            self._filament = FilamentProcess(model, size, quality.photo_samples)
+            self.description = f"{self.description}; {self._filament.description}"
+
+    def upload_texture(self, texture: int) -> None:
+        """See `SceneRenderer.upload_texture`."""
+        super().upload_texture(texture)
+        if self._filament is not None:
+            self._filament.reload_textures()
+
+    def render(self, data: mujoco.MjData, camera: str, out: Image | None = None) -> Image:
+        """See `SceneRenderer.render`."""
+        if self._filament is None:
+            return super().render(data, camera, out)
+        image = self._filament.render(data, camera, lambda: self._render_sky(data, camera))
+        if out is None:
+            return image
+        out[:] = image
+        return out
+
+    def _render_sky(self, data: mujoco.MjData, camera: str) -> Image:
+        """Render the image (height, width, 3) of an empty scene by OpenGL."""
+        groups = [(shown, shown.copy()) for shown in (self._option.geomgroup, self._option.flexgroup)]
+        for shown, _ in groups:
+            shown[:] = 0
+        try:
+            return super().render(data, camera)
+        finally:
+            for shown, before in groups:
+                shown[:] = before
+
+    def close(self) -> None:
+        """Free all contexts. Repeated calls have no effect."""
+        if (filament := self.__dict__.get("_filament")) is not None:
+            filament.close()
+        super().close()
+
+
+class EffectsRenderer(QualityRenderer):
+    """Renders cameras through their lenses and before their plates; other cameras as `QualityRenderer`.
 
     Each camera with a lens has a renderer of its own for the ideal image, in a size that its first lens determines.
     """
@@ -98,7 +150,7 @@ class EffectsRenderer(SceneRenderer):
         effects: Mapping[str, CameraEffects],
         plates: Sequence[Plate] = (),
     ) -> None:
-        super().__init__(model, size, quality.fine_size(size), smooth_shadows=quality.smooth_shadows)
+        super().__init__(model, size, quality)
         self._size, self._quality = size, quality
         self._lenses = {name: each for name, each in effects.items() if each.has_lens}
         self._wide: dict[str, tuple[SceneRenderer, tuple[int, int]]] = {}
@@ -190,7 +242,7 @@ class EffectsRenderer(SceneRenderer):
             fine = self._quality.fine_size(size)
             buffer = self._model.vis.global_
             buffer.offwidth, buffer.offheight = max(buffer.offwidth, fine[0]), max(buffer.offheight, fine[1])
-            wide = SceneRenderer(self._model, size, fine, smooth_shadows=self._quality.smooth_shadows)
+            wide = QualityRenderer(self._model, size, self._quality)
             known = self._wide[camera] = wide, size
         number = self._model.cam(camera).id
         fovy = float(self._model.cam_fovy[number])
@@ -230,9 +282,7 @@ class _Surroundings(Closable):
         self._model.flex_group[:] = HIDDEN_GROUP
         self.front_labels = moves.astype(np.uint8), np.ones(model.nflex, np.uint8)
         self._data = mujoco.MjData(self._model)
-        self._renderer = SceneRenderer(
-            self._model, size, quality.fine_size(size), smooth_shadows=quality.smooth_shadows
-        )
+        self._renderer = QualityRenderer(self._model, size, quality)
         self._state = b""
         self._images: dict[str, Image] = {}
 

@@ -22,6 +22,7 @@ from .core.scene.assets.asset_store import FileStatus
 from .cpu_limits import usable_cores, usable_memory
 from .filesystem_mounts import network_mount, read_mounts
 from .gl import INSTALL_GL, LINUX_BACKENDS, GlBackend, probe_backend
+from .photo_rendering.filament_context import require_filament
 
 # Packages that every command needs.
 PACKAGES = ("mujoco", "mink", "daqp", "numpy", "opencv-python-headless", "pydantic", "pyyaml", "rich", "typer")
@@ -39,6 +40,7 @@ EXTRAS = {
     "inspect": ("kitchenbench", "eight of KitchenBench's tasks on the station"),
     "mcap": ("mcap", "import of MCAP files"),
     "mcp": ("mcp", "mcp: tools for coding agents"),
+    "photo": ("mujoco-studio", "--quality photo"),
     "menagerie": ("mujoco-menagerie", "one more source of meshes"),
 }
 
@@ -89,6 +91,7 @@ def run_health_checks(
     for part in (
         _check_packages(),
         _check_gl(environ),
+        _check_photo(),
         _check_meshes(locations),
         _check_disk(out),
         _check_worker_capacity(),
@@ -160,6 +163,16 @@ def _check_chosen_gl(wanted: str | None, found: Mapping[str, GlBackend | str]) -
         return HealthCheck("gl", Health.WARNING, f"{gpu} is there, but {chosen.renderer} renders, without a GPU", fix)
     quality = "balanced" if chosen.is_software else "high"
     return HealthCheck("gl", Health.OK, f"MUJOCO_GL={chosen.name} will be used; --quality auto is {quality}")
+
+
+def _check_photo() -> Iterator[HealthCheck]:
+    try:
+        device = require_filament()
+    except ResourceError as error:
+        # Other qualities work without it. The error names the fix.
+        yield HealthCheck("photo", Health.OK, f"does not work: {error}")
+    else:
+        yield HealthCheck("photo", Health.OK, f"--quality photo works, by {device}")
 
 
 def _check_meshes(locations: Locations) -> Iterator[HealthCheck]:

@@ -303,8 +303,13 @@ class SessionOpener:
     ) -> Locations:
         """Return `locations` with the folder of each asset set. Fetch missing sets; failures are only a note.
 
-        The render quality decides whether meshes are reduced, now if necessary.
+        The render quality decides whether meshes are reduced, now if necessary. Raises ResourceError if Filament is
+        missing, which the quality `photo` needs.
         """
+        if quality is not None and quality.photo_samples:
+            from .photo_rendering.filament_context import require_filament
+
+            require_filament()
         from .core.files.resources import IMPORTED_MESH_FOLDER
         from .core.scene.assets import AssetStore, is_user_set, load_lock, resolve_user_set
 

@@ -56,7 +56,7 @@ def test_compose_xml_folder_and_zip(tmp_path: Path) -> None:
             "--rig: the step `handover`",
         ),
         (["compose-xml", "--task", "nothing"], 3, "'nothing'"),
-        (["render-views", "--quality", "superb"], 3, "valid: auto, balanced, fast, high"),
+        (["render-views", "--quality", "superb"], 3, "valid: auto, balanced, fast, high, photo"),
         (["render-views", "--size", "9999x10"], 2, "16..4096"),
         (["boards", "--out", "boards.doc"], 2, "boards.doc"),
     ],

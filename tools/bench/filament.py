@@ -1,6 +1,6 @@
 """How many boards are found in photos by a physically based renderer: soft shadows, filtered textures, noise, JPEG.
 
-The renderer needs the package `mujoco-studio` and a Vulkan driver, see `filament_pictures`:
+The renderer needs a Vulkan driver, see `filament_pictures`:
 
     MUJOCO_GL=egl python -m tools.bench.filament --photos 60 --keep out/bench/filament
 """

@@ -2,8 +2,8 @@
 
     python -m tools.bench.filament_episode DATASET/ep_000000 OUT CAMERA 0 7 12
 
-The pictures are rendered at twice their size, averaged, and written as OUT/000007.png. See
-`tools.bench.filament_pictures` for what Filament needs.
+The pictures are rendered at twice their size, averaged, and written as OUT/000007.png.
+Filament needs a Vulkan driver, see `yamsim doctor`.
 """
 
 from __future__ import annotations

@@ -1,51 +1,45 @@
-"""Renders states of a compiled model with MuJoCo's Filament renderer, a physically based one.
+"""Renders states of a model with MuJoCo's Filament as it is: its own lights, sky, tones and post-processing.
 
-It needs the packages `mujoco-studio` and `numpy` alone and, without a display, a Vulkan driver in software (on Debian,
-`mesa-vulkan-drivers` and `libvulkan1`). Benchmarks run it as a program of the Python that has `mujoco-studio`:
-
-    python tools/bench/filament_pictures.py MODEL.mjb POSITIONS.npy CAMERA WIDTHxHEIGHT PICTURES.npy
+These images differ more from those of OpenGL than images of `--quality photo`, so benchmarks use them as photos.
 """
 
 from __future__ import annotations
 
-import collections.abc
-import subprocess
-import sys
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from yamsim_cli.photo_rendering.filament_context import open_context, require_filament
+
 _MAX_GEOMS = 5000  # of a scene
-_SECONDS = 1800  # s, for all pictures of a program, after which it counts as hung
 
 
 class FilamentRenderer:
     """Renders a camera of a model. Lights keep their directions; Filament has its own units and tone curve.
 
-    The camera's `cam_ipd` in `model` becomes 0.
+    Two images of one state differ by random noise. The camera's `cam_ipd` in `model` becomes 0.
     """
 
     def __init__(self, model: mujoco.MjModel, camera: str, size: tuple[int, int]) -> None:
-        if not hasattr(collections.abc, "Buffer"):
-            # Python 3.12 brought it. MuJoCo's modules name it in annotations.
-            collections.abc.Buffer = object  # type: ignore[attr-defined]
-        # They come with `mujoco-studio`; the window's module registers materials.
-        import mujoco.studio.window
+        require_filament()
+        self._context = open_context()
         from mujoco import mjrf
-        from mujoco.rendering.filament.model_scene import ModelScene
-        from mujoco.rendering.filament.renderer import Renderer, View
 
-        self._model = model
+        self._model, self._size = model, size
         self._picture = np.zeros((size[1], size[0], 3), np.uint8)
-        config = mjrf.ContextConfig(graphics_api=mjrf.GraphicsApi.GRAPHICS_API_VULKAN, software_rendering=True)
-        self._renderer = Renderer(mjrf.Context(config))
-        self._scene = ModelScene(self._renderer.context, model, self._renderer.scene("photo"))
-        self._renderer.target("photo", self._picture)
-        self._view = View("photo", "photo")
+        self._target = self._context.create_render_target(
+            mjrf.RenderTargetConfig(color_format=mjrf.PixelFormat.PIXEL_FORMAT_RGB8)
+        )
+        self._target.resize(*size)
+        self._read = mjrf.ReadRequest(target=self._target)
+        self._read.set_buffer(self._picture)
+        self._resources = mjrf.ModelResources(self._context, model)
+        self._scene = self._context.create_scene(mjrf.SceneParams())
+        self._scene.configure_from_model(model)
+        self._lights = mjrf.ModelLights(self._scene, self._resources)
+        self._renderables = mjrf.ModelRenderables(self._scene, self._resources)
         self._options, self._abstract = mujoco.MjvOption(), mujoco.MjvScene(model, _MAX_GEOMS)
         self._fixed = mujoco.MjvCamera()
         self._fixed.type, self._fixed.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, model.camera(camera).id
@@ -54,49 +48,31 @@ class FilamentRenderer:
 
     def render(self, data: mujoco.MjData) -> NDArray[np.uint8]:
         """Return the picture of a state as RGB (height, width, 3)."""
+        from mujoco import mjrf
+
         mujoco.mj_forward(self._model, data)
-        mujoco.mjv_updateScene(
-            self._model, data, self._options, None, self._fixed, mujoco.mjtCatBit.mjCAT_ALL, self._abstract
-        )
-        self._scene.update(data)
-        self._view.camera = self._abstract.camera[0]
-        self._renderer.render([self._view])
+        everything = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(self._model, data, self._options, None, self._fixed, everything, self._abstract)
+        self._lights.update(data)
+        self._renderables.update(data)
+        view, request = self._abstract.camera[0], mjrf.RenderRequest()
+        request.scene, request.target = self._scene, self._target
+        names = ("pos", "forward", "up", "frustum_bottom", "frustum_top", "frustum_near", "frustum_far")
+        request.camera = mjrf.Camera(**{name: getattr(view, name) for name in names})
+        request.viewport.left = request.viewport.bottom = 0
+        request.viewport.width, request.viewport.height = self._size
+        self._context.wait_for_frame(self._context.render([request], [self._read]))
         return self._picture.copy()
 
 
-def render_elsewhere(
-    python: Path, model: mujoco.MjModel, positions: Sequence[NDArray[np.float64]], camera: str, size: tuple[int, int]
+def render_positions(
+    model: mujoco.MjModel, positions: Sequence[NDArray[np.float64]], camera: str, size: tuple[int, int]
 ) -> list[NDArray[np.uint8]]:
-    """Return the pictures (height, width, 3) of positions (nq,), rendered by another Python.
-
-    Raises:
-        subprocess.CalledProcessError: the program failed; its messages are on the error output.
-        subprocess.TimeoutExpired: it took longer than `_SECONDS`.
-    """
-    with tempfile.TemporaryDirectory(prefix="filament_") as folder:
-        stored, states, pictures = (Path(folder) / name for name in ("model.mjb", "positions.npy", "pictures.npy"))
-        mujoco.mj_saveModel(model, str(stored))
-        np.save(states, np.array(positions))
-        given = [str(stored), str(states), camera, f"{size[0]}x{size[1]}", str(pictures)]
-        subprocess.run(
-            [str(python), __file__, *given], check=True, timeout=_SECONDS, stdout=subprocess.DEVNULL, cwd=folder
-        )
-        return list(np.load(pictures))
-
-
-def main() -> None:
-    """Render all states of a file."""
-    stored, states, camera, size, pictures = sys.argv[1:]
-    width, height = (int(part) for part in size.split("x"))
-    model = mujoco.MjModel.from_binary_path(stored)
+    """Return the pictures (height, width, 3) of positions (nq,)."""
     data = mujoco.MjData(model)
-    renderer = FilamentRenderer(model, camera, (width, height))
+    renderer = FilamentRenderer(model, camera, size)
     taken = []
-    for position in np.load(states):
+    for position in positions:
         data.qpos[:] = position
         taken.append(renderer.render(data))
-    np.save(pictures, np.array(taken))
-
-
-if __name__ == "__main__":
-    main()
+    return taken

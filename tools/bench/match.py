@@ -1,14 +1,14 @@
 """Errors of `yamsim match` for stations with hidden truth, and its likeness to a photo that was not given to it.
 
     python -m tools.bench.match [--stations N] [--first SEED] [--photos N] [--size 640x480] [--picture FILE]
-        [--filament PYTHON]
+        [--filament]
 
 Each station has its own light, table texture, floor, camera with distortion and arm postures. Photos have whole meshes,
 finer shadows and edges, noise, blur and JPEG; the match has reduced meshes. The camera's pose is given, as by a
 calibration. Seeds below 100 served development, those above did not.
 
-With `--filament`, another renderer makes the photos: physically based shading and other tones, by a Python 3.12 with
-`mujoco-studio`, see `filament_pictures`. The renderings "before" have the scene that was not matched.
+With `--filament`, another renderer makes the photos: physically based shading and other tones, see
+`filament_pictures`. The renderings "before" have the scene that was not matched.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ import os
 import resource
 import sys
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,7 @@ import cv2
 import numpy as np
 
 from tests.hidden_stations import HiddenStation, RenderPositions, calibration_of, hidden_station, take_photos
-from tools.bench.filament_pictures import render_elsewhere
+from tools.bench.filament_pictures import render_positions
 from tools.bench.likeness import COARSE, ViewOfStation, accuracy
 from tools.bench.pictures import ssim
 from yamsim_cli.core.files.writing import scratch_directory, write_file
@@ -57,10 +56,10 @@ def main() -> None:
     parser.add_argument("--photos", type=int, default=3)
     parser.add_argument("--size", default="640x480")
     parser.add_argument("--picture", type=Path, help="JPEG of photos, matches and the scene before")
-    parser.add_argument("--filament", type=Path, metavar="PYTHON", help="renders the photos with Filament")
+    parser.add_argument("--filament", action="store_true", help="render the photos with Filament")
     given = parser.parse_args()
     opener = SessionOpener(os.environ, lambda text: print(text, file=sys.stderr), str)
-    render = partial(render_elsewhere, given.filament.absolute()) if given.filament else None
+    render = render_positions if given.filament else None
     stations = []
     for seed in range(given.first, given.first + given.stations):
         stations.append(measure(opener, seed, given.photos, parse_size(given.size), render))

@@ -122,7 +122,7 @@ AttemptTimeout = Annotated[
     float, typer.Option(min=1, help="Seconds after which a worker counts as hung and is replaced.")
 ]
 Quality = Annotated[
-    str | None, typer.Option(help="fast, balanced, high, auto (GPU or not), or a YAML file.  [default: auto]")
+    str | None, typer.Option(help="fast, balanced, high, photo, auto (GPU or not), or a YAML file.  [default: auto]")
 ]
 MinSuccess = Annotated[
     float | None,

@@ -25,8 +25,8 @@ class RenderConfig(Config):
 
     Attributes:
         multisamples: samples per pixel, which smooth edges on a GPU; 0 for none.
-        supersampling: factor on the width and height of rendered images, which are then averaged. Supersampling also
-            smooths edges of shadows, and without a GPU costs less than 4 samples per pixel.
+        supersampling: factor on width and height of images by OpenGL, which are then averaged. It also smooths edges of
+            shadows, and without a GPU costs less than 4 samples per pixel.
         shadow_map_px: edge of the shadow map in texels; 0 for no shadows.
         shadow_lights: number of the scene's lights that cast shadows. Each needs two more renderings of the scene.
         shadow_reach_m: radius of the region with shadows around the middle between an arm's base and the table. A
@@ -34,8 +34,9 @@ class RenderConfig(Config):
         smooth_shadows: whether edges of shadows are a mean of nine texels, and not steps of one texel. Applies to one
             light that casts shadows without multisamples, reflections and transparent objects.
         reduced_meshes: whether meshes are shown with fewer faces, see `core.scene.assets.mesh_reduction`.
-        reflections: whether surfaces reflect. Reflections need one more rendering of the scene.
+        reflections: whether surfaces reflect, which needs one more rendering of the scene.
         slices: number of faces around round primitives.
+        photo_samples: renderings by MuJoCo's Filament that a colour image averages; 0 for images by OpenGL.
     """
 
     name: Name = "custom"
@@ -48,6 +49,7 @@ class RenderConfig(Config):
     reduced_meshes: bool
     reflections: bool
     slices: int = Field(ge=8, le=128, multiple_of=4)
+    photo_samples: int = Field(default=0, ge=0, le=64, exclude_if=lambda samples: samples == 0)
 
     def fine_size(self, size: tuple[int, int]) -> tuple[int, int]:
         """Return width and height (px) at which an image of `size` is rendered before supersampling averages it."""

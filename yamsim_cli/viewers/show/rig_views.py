@@ -6,6 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from yamsim_cli.camera_rendering import QualityRenderer
 from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.rig import ArmConfig, RigConfig
 from yamsim_cli.core.files.resources import Locations
@@ -39,7 +40,7 @@ class ViewScene:
 
     Attributes:
         size: (width, height) of a view, px.
-        supersampled_size: (width, height) of the rendered image before it is averaged to `size`, px.
+        quality: of the views; the model was composed for it.
     """
 
     rig: RigConfig
@@ -47,11 +48,12 @@ class ViewScene:
     data: mujoco.MjData
     cameras: dict[str, PlacedCamera]
     size: tuple[int, int]
-    supersampled_size: tuple[int, int]
+    quality: RenderConfig
 
     def open_renderer(self) -> SceneRenderer:
         """Return a renderer of the views, which the caller must close."""
-        return SceneRenderer(self.model, self.size, self.supersampled_size)
+        # Views never had the filtered edges of shadows.
+        return QualityRenderer(self.model, self.size, self.quality.model_copy(update={"smooth_shadows": False}))
 
 
 def set_up_views(blueprint: Blueprint, locations: Locations, quality: RenderConfig, size: tuple[int, int]) -> ViewScene:
@@ -64,7 +66,7 @@ def set_up_views(blueprint: Blueprint, locations: Locations, quality: RenderConf
         T_mujoco = pose(T[:3, 3], opencv_from_mujoco(T[:3, :3]))
         add_camera(spec, SceneCamera(view.name, WORLD_BODY, T_mujoco, view.fovy_deg))
     model = compile_spec(spec)
-    return ViewScene(rig, model, _data_at_home(model), cameras, size, quality.fine_size(size))
+    return ViewScene(rig, model, _data_at_home(model), cameras, size, quality)
 
 
 def _data_at_home(model: mujoco.MjModel) -> mujoco.MjData:

@@ -1,0 +1,1 @@
+"""Colour images with physically based light, by MuJoCo's Filament."""

@@ -1,0 +1,169 @@
+"""Runs Filament in a process of its own, which ends with its parent.
+
+Filament 4.0.0 with Mesa's Vulkan driver keeps 1 to 1.5 MB of memory of each rendering until its process ends. So the
+process is replaced when it has grown too large. A driver that aborts ends this process, and not that of the caller.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from importlib.metadata import version
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from typing import Any
+
+import mujoco
+
+from ..core.closable import Closable
+from ..core.errors import ResourceError
+from ..core.images.image import Image
+from .filament_context import require_filament
+
+_MAX_BYTES = 1_500_000_000  # of memory of the process, about 40 images, after which another one takes its place
+_END_SECONDS = 10  # s, for the end of a process that was told to end
+# What an image depends on and attempts vary: fields of `MjModel`, of its headlight, and of `MjData`.
+_MODEL_FIELDS = (
+    "geom_group", "geom_matid", "geom_rgba", "flex_group", "flex_matid", "flex_rgba", "mat_rgba", "mat_specular",
+    "mat_shininess", "mat_metallic", "mat_roughness", "light_active", "light_castshadow", "light_diffuse", "cam_fovy",
+)  # fmt: skip
+_HEADLIGHT_FIELDS = ("active", "ambient", "diffuse")
+_DATA_FIELDS = (
+    "geom_xpos", "geom_xmat", "light_xpos", "light_xdir", "cam_xpos", "cam_xmat", "flexvert_xpos", "subtree_com",
+    "xpos", "xmat", "xipos", "ximat",
+)  # fmt: skip
+
+
+class FilamentProcess(Closable):
+    """A `FilamentRenderer` in another process, started for the first image.
+
+    Attributes:
+        description: name and version of the renderer, and the Vulkan device.
+
+    Args:
+        model: the scene. Its lights, materials and cameras may change between images.
+        size: width and height of images, px.
+        samples: renderings that an image averages, see `light_samples`.
+
+    Raises:
+        ResourceError: `mujoco-studio` is not installed, or no Vulkan driver works.
+    """
+
+    def __init__(self, model: mujoco.MjModel, size: tuple[int, int], samples: int) -> None:
+        self.description = f"Filament of mujoco-studio {version('mujoco-studio')}, {require_filament()}"
+        self._model, self._size, self._samples = model, size, samples
+        self._process: subprocess.Popen[bytes] | None = None
+        self._connection: Connection[Any, Any] | None = None
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed by `close`
+        self._reload = False
+
+    def reload_textures(self) -> None:
+        """Take the textures of the model again after they have changed."""
+        self._reload = True
+
+    def render(self, data: mujoco.MjData, camera: str, background: Callable[[], Image]) -> Image:
+        """Render an RGB image (height, width, 3) of the state `data`, before an image of the same shape."""
+        model = self._model
+        try:
+            if self._connection is None:
+                self._connection = self._start()
+            state = {key: getattr(model, key) for key in _MODEL_FIELDS}
+            headlight = {key: getattr(model.vis.headlight, key) for key in _HEADLIGHT_FIELDS}
+            poses = {key: getattr(data, key) for key in _DATA_FIELDS}
+            self._connection.send((camera, state, headlight, poses, model.tex_data if self._reload else None))
+            self._reload = False
+            while (answer := self._connection.recv()) is None:
+                self._connection.send(background())
+        except (EOFError, OSError) as error:
+            raise ResourceError(self._explain_end()) from error
+        image: Image = answer[0]
+        if answer[1] > _MAX_BYTES:
+            self._stop()
+        return image
+
+    def _start(self) -> Connection[Any, Any]:
+        ours, theirs = Pipe()
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", __name__, str(theirs.fileno())],
+                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=self._errors, pass_fds=[theirs.fileno()],
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+            )  # fmt: skip
+        ours.send((self._model, self._size, self._samples))
+        self._reload = False
+        return ours
+
+    def _explain_end(self) -> str:
+        code = self._process.wait() if self._process else None
+        self._errors.seek(0)
+        lines = self._errors.read().decode(errors="replace").strip().splitlines() or ["it left no message"]
+        self._stop()
+        return (
+            f"the process of {self.description} ended with code {code} ({lines[-1].strip()}); run `yamsim doctor`, or "
+            "take another --quality"
+        )
+
+    def _stop(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+        if self._process is not None:
+            try:
+                self._process.wait(_END_SECONDS)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+        self._process = self._connection = None
+
+    def close(self) -> None:
+        """End the process. Repeated calls have no effect."""
+        self._stop()
+        self._errors.close()
+
+
+def _serve(connection: Connection[Any, Any]) -> None:
+    """Render images until the other side closes the connection."""
+    from .filament import FilamentRenderer
+
+    model, size, samples = connection.recv()
+    data = mujoco.MjData(model)
+    renderer = FilamentRenderer(model, size, samples)
+
+    def background() -> Image:
+        connection.send(None)
+        image: Image = connection.recv()
+        return image
+
+    while True:
+        camera, state, headlight, poses, textures = connection.recv()
+        for target, values in ((model, state), (data, poses)):
+            for key, value in values.items():
+                getattr(target, key)[:] = value
+        for key, value in headlight.items():
+            setattr(model.vis.headlight, key, value)
+        if textures is not None:
+            model.tex_data[:] = textures
+            renderer.reload_textures()
+        image = renderer.render(data, camera, background)
+        connection.send((image, _used_bytes()))
+
+
+def _used_bytes() -> int:
+    # Linux counts in kB, macOS in bytes.
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def main() -> None:
+    """Serve the connection with the number of the command line."""
+    try:
+        _serve(Connection(int(sys.argv[1])))
+    except (EOFError, ConnectionError, pickle.UnpicklingError):
+        return
+
+
+if __name__ == "__main__":
+    main()
