@@ -91,7 +91,6 @@ def run_health_checks(
     for part in (
         _check_packages(),
         _check_gl(environ),
-        _check_photo(),
         _check_meshes(locations),
         _check_disk(out),
         _check_worker_capacity(),
@@ -142,7 +141,11 @@ def _check_gl(environ: Mapping[str, str]) -> Iterator[HealthCheck]:
             others = any(isinstance(other, GlBackend) for other in found.values())
             health = Health.OK if others and name != wanted else Health.WARNING
             yield HealthCheck(f"gl.{name}", health, f"does not work: {backend}", figures={"start_s": seconds})
-    yield _check_chosen_gl(wanted, found)
+    chosen = _check_chosen_gl(wanted, found)
+    yield chosen
+    # Quality `photo` needs OpenGL too. With an invalid MUJOCO_GL, MuJoCo's modules for images cannot be imported.
+    if chosen.health is not Health.FAULT:
+        yield _check_photo()
 
 
 def _check_chosen_gl(wanted: str | None, found: Mapping[str, GlBackend | str]) -> HealthCheck:
@@ -165,14 +168,13 @@ def _check_chosen_gl(wanted: str | None, found: Mapping[str, GlBackend | str]) -
     return HealthCheck("gl", Health.OK, f"MUJOCO_GL={chosen.name} will be used; --quality auto is {quality}")
 
 
-def _check_photo() -> Iterator[HealthCheck]:
+def _check_photo() -> HealthCheck:
     try:
         device = require_filament()
     except ResourceError as error:
         # Other qualities work without it. The error names the fix.
-        yield HealthCheck("photo", Health.OK, f"does not work: {error}")
-    else:
-        yield HealthCheck("photo", Health.OK, f"--quality photo works, by {device}")
+        return HealthCheck("photo", Health.OK, f"does not work: {error}")
+    return HealthCheck("photo", Health.OK, f"--quality photo works, by {device}")
 
 
 def _check_meshes(locations: Locations) -> Iterator[HealthCheck]:

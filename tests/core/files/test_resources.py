@@ -106,7 +106,7 @@ def test_a_suggestion_lists_what_is_valid(value, valid, text):
 def test_auto_names_the_quality_that_was_chosen(repository, stands_for):
     found = replace(Locations.from_environment({"HOME": "/h"}), auto_quality=stands_for)
     assert found.config_file("quality", "auto") == repository / f"configs/quality/{stands_for}.yaml"
-    assert found.config_names("quality") == ["auto", "balanced", "fast", "high"]
+    assert found.config_names("quality") == ["auto", "balanced", "fast", "high", "photo"]
     assert "auto" not in found.config_names("rigs")
     with pytest.raises(ConfigError, match="valid: bimanual, russet, single"):
         found.config_file("rigs", "auto")
