@@ -137,7 +137,8 @@ def test_a_calibration_says_where_the_arm_is_and_by_how_much_its_joints_and_pict
         "no delay": replace(placed, delay=0.0),
     }.items():
         report, _ = _compare(late, locations, PhotoRequest(10, placed=used))
-        assert report["photos"] == len(TAKEN)
+        # What was before the first sample is unknown.
+        assert report["photos"] == len(TAKEN) - (used.delay > 0)
         worst[name] = report["measured_outline_px"]["worst"]
     assert worst["all"] < 1 < 1.5 < worst["no offsets"]
     assert worst["no delay"] > worst["all"]

@@ -55,22 +55,20 @@ def measure_lerobot(
     import torch
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    steps = json.loads((export / "meta" / "info.json").read_text())["fps"]
+    fps = json.loads((export / "meta" / "info.json").read_text())["fps"]
     began, used = time.monotonic(), _processor_seconds()
     dataset = LeRobotDataset(
-        "local/export", root=export, delta_timestamps={"action": [number / steps for number in range(chunk)]}
+        "local/export", root=export, delta_timestamps={"action": [number / fps for number in range(chunk)]}
     )
     rows = []
     for epoch in range(epochs):
-        torch.manual_seed(epoch)
-        loader = torch.utils.data.DataLoader(dataset, batch_size=batch, shuffle=True, num_workers=workers)
+        # Workers read ahead, so the sampler ends the epoch.
+        chosen = torch.randperm(len(dataset), generator=torch.Generator().manual_seed(epoch))[:frames].tolist()
+        loader = torch.utils.data.DataLoader(dataset, batch_size=batch, sampler=chosen, num_workers=workers)
         seen = 0
         for one in loader:
             assert all(camera in one for camera in cameras)
             seen += len(one["action"])
-            if seen >= frames:
-                break
-        del loader
         rows.append({"wall_s": time.monotonic() - began, "cpu_s": _processor_seconds() - used, "frames": seen})
         began, used = time.monotonic(), _processor_seconds()
     return {"workers": workers, "epochs": rows, "cache_bytes": 0, "memory_bytes": _largest_memory(workers)}

@@ -185,9 +185,11 @@ def load_placed_camera(
 
     Raises:
         ConfigError: the calibration is not valid.
-        UsageError: it is of another rig, or not exactly one camera fits.
+        UsageError: it is of another rig, not exactly one camera fits, or `path` names another camera than `camera`.
     """
     file, _, name = str(path).partition(".yaml:")
+    if name and camera not in (None, name):
+        raise UsageError(f"--calibration names camera {name!r}, and --episode-camera {camera!r}; leave one out")
     found = load_calibration(Path(f"{file}.yaml") if name else path, locations).for_rig(rig, "--calibration")
     chosen = found.camera(name or camera, "FILE:CAMERA")
     return chosen.name, found.placed_camera(chosen)

@@ -36,7 +36,7 @@ Margin = Annotated[float | None, typer.Option(help="Distance between the arms, m
 StationCalibration = Annotated[
     Path | None,
     typer.Option(
-        metavar="DIR|FILE[:CAMERA]",
+        metavar="DIR|FILE|FILE:CAMERA",
         help="A calibration of `yamsim calibrate`: its camera, bases, joint offsets and delay replace boards and "
         "recorded poses.",
     ),

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core.attempt_data import ArmPosture
 from ..core.config.rendering import RenderConfig
@@ -62,7 +63,7 @@ def photos_in_parts(gaps: Sequence[MotionGap], camera: str | None) -> tuple[str,
         raise UsageError(f"--episode-camera {camera!r}: no recording has it; {suggest_similar(camera, cameras)}")
     taken = []
     for gap in gaps:
-        known = np.logical_and.reduce([np.isfinite(arm.joints).all(axis=1) for arm in gap.motion.arms])
+        known = _known_joints(gap.motion)
         for frame, sample in enumerate(np.flatnonzero(known).tolist()):
             if gap.name in folders and gap.is_compared[sample]:
                 path = folders[gap.name] / image_path(camera, frame)
@@ -89,12 +90,27 @@ def _largest_joint_error(photo: RecordedPhoto) -> float:
     return max(float(np.abs(real.joints[photo.sample] - made.joints[photo.sample]).max()) for real, made in both)
 
 
+def _known_joints(motion: RecordedMotion) -> NDArray[np.bool_]:
+    """Return a flag (samples,): whether all joints are known."""
+    known: NDArray[np.bool_] = np.logical_and.reduce([np.isfinite(arm.joints).all(axis=1) for arm in motion.arms])
+    return known
+
+
+def _has_joints_before(photo: RecordedPhoto, delay: float) -> bool:
+    """Whether the joints are known next to the time `delay`, s, before that of a photo."""
+    motion = photo.gap.motion
+    after = int(np.searchsorted(motion.times, motion.times[photo.sample] - delay))
+    if after >= len(motion.times) or (after == 0 and motion.times[0] > motion.times[photo.sample] - delay):
+        return False
+    return bool(_known_joints(motion)[max(after - 1, 0) : after + 1].all())
+
+
 def calibrated_postures(motion: RecordedMotion, sample: int, rig: RigConfig, placed: PlacedCamera) -> ArmPostures:
     """Return what a photo that is stamped with the time of a sample (index) shows, by the calibration's delay.
 
     Joints are without the calibration's offsets, which replace those of the rig's revision.
     """
-    known = np.logical_and.reduce([np.isfinite(arm.joints).all(axis=1) for arm in motion.arms])
+    known = _known_joints(motion)
     times, seen = motion.times[known], motion.times[sample] - placed.delay
     postures = {}
     for arm, number in zip(motion.arms, rig.recording_order, strict=True):
@@ -186,6 +202,11 @@ def compare_photos(
 ) -> tuple[dict[str, Any], list[CaptionedJpeg]]:
     """Compare simulated arms with recorded photos. Return JSON data, and the worst photos as pictures."""
     camera, taken = photos_in_parts(gaps, request.name)
+    if request.placed is not None:
+        delay = request.placed.delay
+        taken = [photo for photo in taken if _has_joints_before(photo, delay)]
+        if not taken:
+            raise UsageError(f"--calibration: no joints are known {1000 * delay:.0f} ms before any photo, its delay")
     chosen = select_photos(taken, request.max_photos)
     found: list[PhotoGap] = []
     figures: list[PhotoGap] = []

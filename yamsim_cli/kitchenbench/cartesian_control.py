@@ -58,7 +58,10 @@ class CartesianArm:
         return np.array([*T[:3, 3], math.atan2(R[1, 0], R[0, 0]), pitch, math.atan2(R[2, 1], R[2, 2])])
 
     def joints_at(self, target: Array, near: Array) -> Array:
-        """Return the joints (6,) nearest to joints `near` that reach a pose (6,), or those of the nearest pose."""
+        """Return the joints (6,), rad, nearest to joints `near` (6,) that reach a pose (6,).
+
+        Out of reach, return those of the nearest pose that a search from `near` finds.
+        """
         yaw, pitch, roll = target[3:]
         R = rotation_z(yaw) @ rotation_from_vector([0.0, -pitch, 0.0]) @ rotation_from_vector([roll, 0.0, 0.0])
         return self._solver.solve(pose(target[:3], R @ self._R_start), near, _IK_ITERATIONS).joints

@@ -58,10 +58,11 @@ _CARTESIAN_DESCRIPTION = """\
 Two arms of six joints, 0.61 m apart, in front of a table. An action is 14 absolute targets, seven for the left arm and
 then seven for the right one, each in the base frame of its arm (x ahead, y to the left, z up): x, y and z of the point
 between the fingertips (m); yaw, pitch and roll of the hand (rad), relative to its orientation at the start of the
-trial; the gripper (0 closed and pressing .. 1 open). Yaw turns counterclockwise seen from above, pitch tips the hand
-ahead and roll to the left of the arm. Values are clipped to the bounds of the space; where both bounds are equal, the
-value is fixed. During an action, the joints move evenly towards the targets, within the motors' speed limits. A target
-out of reach moves the hand to the nearest pose."""
+trial, in which it points ahead and 30 degrees down; the gripper (0 closed and pressing .. 1 open). Positive yaw turns
+the hand counterclockwise seen from above. Positive pitch raises the fingertips, and negative pitch points the hand
+further down. Positive roll swings the fingertips to the left of the arm. Values are clipped to the bounds of the space;
+where both bounds are equal, the value is fixed. During an action, the joints move evenly towards the targets, within
+the motors' speed limits. A target out of reach moves the hand to a pose near it."""
 
 
 def action_space(config: RecordConfig, period: float) -> Box:

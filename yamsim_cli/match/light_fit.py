@@ -33,10 +33,12 @@ _LOWEST, _HIGHEST = 5.0, 89.0  # degrees above the horizontal, between which a l
 _TRIM = 0.9  # share of pixels that the fit keeps: highlights and wrong outlines are no shading
 _SATURATED = 250  # of 255, above which a photo's colour is no measure of the light
 _EDGE_PX = 2  # px, border of the arms that is left out
-# Least ratio of the table's brightness in directional and in ambient light, as a share of that on the arms. Without it,
-# a direction costs nothing that casts the arms' shadows where the table has none. Tone curves make shadows lighter:
-# with 0.6, the light of one of ten stations was off by 33 instead of 1 degrees; with 0.15 to 0.3, of none.
+# Least ratio of directional to ambient light on the table, as a share of that ratio on the arms. Without this limit, a
+# light that puts the arms' shadows onto an unshaded part of the table has no error, because the fit then makes them
+# invisible. Tone curves make shadows lighter: shares of 0.15 to 0.3 improved one of 20 stations and made none worse, and
+# 0.6 put the light of another one off by 33 instead of 1 degrees.
 _MIN_SHADOW_DEPTH = 0.2
+_MAX_RATIO = 10.0  # of directional to ambient light on the arms that is believed: the fit may find no ambient light
 _MIN_PIXELS = 50  # of the arms, without which the light is unknown
 
 _Place = tuple[float, float]  # elevation above the horizontal, and azimuth, of a light, degrees
@@ -153,7 +155,8 @@ def _fit(
     made = columns[0] * strengths[:, 0] + columns[1] * strengths[:, 1] + columns[2] * HEADLIGHT
     arm_error = float(np.abs(seen - np.clip(made, 0, 255)).mean())
     light = Light(tuple(strengths[:, 0]), tuple(strengths[:, 1]), direction, (HEADLIGHT,) * 3)
-    least = _MIN_SHADOW_DEPTH * strengths[:, 1] / np.maximum(strengths[:, 0], 1e-9)
+    ratio = strengths[:, 1] / np.maximum(strengths[:, 0], 1e-9)
+    least = _MIN_SHADOW_DEPTH * np.minimum(ratio, _MAX_RATIO)
     return LightFit(light, arm_error, _table_error(surfaces, least)), _table_error(blurred, least)
 
 
@@ -186,8 +189,8 @@ def _fit_channel(seen: Array, ambient: Array, diffuse: Array, headlight: Array) 
 def _table_error(surfaces: Sequence[Sequence[Array]], least: Array) -> float:
     """Return the mean difference of the table's colours to those of an evenly coloured table, of 255.
 
-    Its brightness in ambient and in directional light is fitted. The place of shadows counts, and their depth only if
-    their ratio is below `least` (3,), for each colour.
+    Its brightness in ambient and in directional light is fitted. The depth of shadows is free, but directional over
+    ambient light is at least `least` (3,), one for each colour.
     """
     seen, ambient, diffuse = (np.concatenate(parts) for parts in zip(*surfaces, strict=True))
     if not len(seen):
@@ -195,10 +198,9 @@ def _table_error(surfaces: Sequence[Sequence[Array]], least: Array) -> float:
     none = np.zeros(len(seen))
     made = np.empty_like(seen)
     for k in range(3):
-        level, lit = _fit_channel(seen[:, k], ambient[:, k], diffuse[:, k], none)
-        if lit < least[k] * level:
-            column = ambient[:, k] + least[k] * diffuse[:, k]
-            level = _fit_channel(seen[:, k], column, none, none)[0]
-            lit = least[k] * level
-        made[:, k] = ambient[:, k] * level + diffuse[:, k] * lit
+        dim, lit = _fit_channel(seen[:, k], ambient[:, k], diffuse[:, k], none)
+        if lit < least[k] * dim:
+            dim = _fit_channel(seen[:, k], ambient[:, k] + least[k] * diffuse[:, k], none, none)[0]
+            lit = least[k] * dim
+        made[:, k] = ambient[:, k] * dim + diffuse[:, k] * lit
     return float(np.abs(seen - made).mean())
