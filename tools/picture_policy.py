@@ -213,7 +213,13 @@ def train(
                 )
             if done == steps:
                 break
-    stored = {"weights": averaged.state_dict(), "scaling": vars(scaling), "shape": (height, width), "crop": crop}
+    stored = {
+        "weights": averaged.state_dict(),
+        "scaling": vars(scaling),
+        "shape": (height, width),
+        "camera": camera,
+        "crop": crop,
+    }
     torch.save(stored, out)
     return float(np.mean(losses[-100:]))
 
@@ -221,11 +227,12 @@ def train(
 class PicturePolicy:
     """The trained policy for `yamsim eval`."""
 
-    images = ("scene",)
     ticks = TICKS
 
     def __init__(self, weights: str) -> None:
         stored = torch.load(weights, weights_only=True)
+        # A rig's own cameras have the same names in datasets and in observations.
+        self.images = ("scene",) if stored["camera"] == SCENE_CAMERA else (stored["camera"],)
         height, width = stored["shape"]
         self._scaling, self._shape, self._crop = Scaling(**stored["scaling"]), (height, width), stored["crop"]
         drives, numbers = len(self._scaling.joint_mean), len(self._scaling.action_mean)
@@ -238,7 +245,7 @@ class PicturePolicy:
 
     def __call__(self, observation: Mapping[str, Any]) -> dict[str, Any]:
         """Return a chunk of commands and welds."""
-        image = cropped(observation["scene_rgb"], self._crop)
+        image = cropped(observation[f"{self.images[0]}_rgb"], self._crop)
         if (shape := image.shape[:2]) != self._shape:
             raise ValueError(f"the cropped image is {shape}, in training {self._shape}: give --trained-on")
         scaling = self._scaling

@@ -95,10 +95,6 @@ class NoReset:
         return {}
 
 
-class AsksTooMuch(Still):
-    images = ("scene", "floor")  # type: ignore[assignment]
-
-
 class AsksWrongly(Still):
     images = "scene"  # type: ignore[assignment]
 

@@ -105,10 +105,6 @@ def test_a_file_with_one_policy_needs_no_class(tmp_path: Path) -> None:
         ("sample_policies.py", "has the policies Still, Seeing"),
         ("sample_policies.py:Stil", "it has no 'Stil'; did you mean 'Still'?"),
         ("sample_policies.py:NoReset", "NoReset needs the methods reset() and __call__(observation)"),
-        (
-            "sample_policies.py:AsksTooMuch",
-            "it asks for the image 'floor'; valid: left_wrist, right_",
-        ),
         ("sample_policies.py:AsksWrongly", "images is 'scene'; give a tuple, such as ('scene',)"),
         ("sample_policies.py:WantsTooMuch", "it asks for the state 'object'; did you mean 'objects'? valid: objects, "),
         ("broken.py", "cannot be loaded: ZeroDivisionError: division by zero (broken.py:1, in <module>)"),

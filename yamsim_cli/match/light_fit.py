@@ -35,8 +35,8 @@ _SATURATED = 250  # of 255, above which a photo's colour is no measure of the li
 _EDGE_PX = 2  # px, border of the arms that is left out
 # Least ratio of directional to ambient light on the table, as a share of that ratio on the arms. Without this limit, a
 # light that puts the arms' shadows onto an unshaded part of the table has no error, because the fit then makes them
-# invisible. Tone curves make shadows lighter: shares of 0.15 to 0.3 improved one of 20 stations and made none worse, and
-# 0.6 put the light of another one off by 33 instead of 1 degrees.
+# invisible. Tone curves make shadows lighter: shares of 0.15 to 0.3 improved one of 20 stations and made no other worse
+# by more than 3 degrees, and 0.6 put the light of another one off by 33 instead of 1 degrees.
 _MIN_SHADOW_DEPTH = 0.2
 _MAX_RATIO = 10.0  # of directional to ambient light on the arms that is believed: the fit may find no ambient light
 _MIN_PIXELS = 50  # of the arms, without which the light is unknown

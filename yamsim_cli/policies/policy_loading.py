@@ -12,7 +12,7 @@ from typing import Any
 from ..core.errors import UsageError, suggest_similar
 from ..core.files.documents.yaml_document import number_or_text
 from .policy_faults import describe_fault
-from .policy_protocol import IMAGE_REQUESTS, SCENE, STATE_REQUESTS, WRIST, Policy
+from .policy_protocol import SCENE, STATE_REQUESTS, WRIST, Policy
 
 _USER_POLICY_FORMS = "module:Class or file.py:Class"
 # Policies of other programs: MolmoAct2's and GR00T's servers, openpi's, and LeRobot's checkpoints.
@@ -130,13 +130,16 @@ def check_policy(policy: Any, name: str) -> Policy:
         raise UsageError(
             f"--policy {name}: {type(policy).__name__} needs the methods reset() and __call__(observation)"
         )
-    for attribute, what, valid in (("images", "image", IMAGE_REQUESTS), ("wants", "state", STATE_REQUESTS)):
+    for attribute, example in (("images", SCENE), ("wants", STATE_REQUESTS[0])):
         requested = getattr(policy, attribute, ())
-        if not isinstance(requested, tuple | list | set | frozenset):
-            raise UsageError(f"--policy {name}: {attribute} is {requested!r}; give a tuple, such as ({valid[0]!r},)")
-        for one in requested:
-            if one not in valid:
-                raise UsageError(f"--policy {name}: it asks for the {what} {one!r}; {suggest_similar(str(one), valid)}")
+        if not isinstance(requested, tuple | list | set | frozenset) or not all(
+            isinstance(one, str) for one in requested
+        ):
+            raise UsageError(f"--policy {name}: {attribute} is {requested!r}; give a tuple, such as ({example!r},)")
+    # The rig determines which images exist, see `evaluate.observation.policy_cameras`.
+    for one in getattr(policy, "wants", ()):
+        if one not in STATE_REQUESTS:
+            raise UsageError(f"--policy {name}: it asks for the state {one!r}; {suggest_similar(one, STATE_REQUESTS)}")
     ticks = getattr(policy, "ticks", 1)
     if not isinstance(ticks, int) or ticks < 1:
         raise UsageError(f"--policy {name}: ticks is {ticks!r}; give a whole number, at least 1")

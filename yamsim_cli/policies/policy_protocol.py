@@ -15,7 +15,6 @@ from ..core.geometry.se3 import Array
 
 # Images that a policy can request; "wrist" stands for all wrist cameras.
 SCENE, WRIST = "scene", "wrist"
-IMAGE_REQUESTS = (SCENE, WRIST, "left_wrist", "right_wrist")
 
 # Further values that a policy can request: poses of objects, which only a simulation knows, and joint velocities.
 OBJECTS, VELOCITIES = "objects", "velocities"
@@ -45,7 +44,8 @@ class Policy(Protocol):
 
     Optional attributes of the class or the object:
 
-    - `images`: requested images, from `IMAGE_REQUESTS`; by default "scene" and "wrist".
+    - `images`: requested images: "scene", "wrist", "left_wrist", "right_wrist", or the name of a camera of a rig that
+      has its own; by default "scene" and "wrist".
     - `wants`: requested values, from `STATE_REQUESTS`; by default none.
     - `ticks`: duration of an action in control ticks of 32 ms; by default 1. Datasets use 2.
     - `execute`: executed actions of a chunk before the next inference; by default all.

@@ -200,6 +200,22 @@ def test_privileged_state_reaches_no_other_policy(config: RecordConfig, location
         assert runner.run(AttemptJob(0, 0)).error == ""
 
 
+@pytest.mark.render
+def test_a_policy_may_request_a_rigs_own_camera_by_its_name(
+    make_config: Callable[..., RecordConfig], locations: Locations, tmp_path: Path
+) -> None:
+    """Recordings of such a rig have its cameras, and not the one of `scene`."""
+    values = {("rig",): "yam_station_linear_4310_d405", ("task",): "set_upright", ("image", "size_px"): [64, 48]}
+    config = make_config(values)
+    (tmp_path / "seeing.py").write_text(
+        "class Seeing:\n    images = ('top',)\n    def reset(self):\n        pass\n"
+        "    def __call__(self, observation):\n        assert observation['top_rgb'].shape == (48, 64, 3)\n"
+        "        return {'ctrl': observation['joints'], 'done': True}\n"
+    )
+    with TrialRunner(Session(config, locations), PolicyChoice("seeing.py", tmp_path)) as runner:
+        assert runner.run(AttemptJob(0, 0)).error == ""
+
+
 def test_a_policy_that_does_not_fit_the_rig_is_closed(
     config: RecordConfig, locations: Locations, tmp_path: Path
 ) -> None:
