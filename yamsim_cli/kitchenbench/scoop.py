@@ -36,12 +36,12 @@ from .scoop_strokes import (
 from .tilting import TICKS, HeldSource, Tilt, nearest_free_hands, tilt_path
 
 _LIFT = 0.05  # m, straight up after grasping the tool: over the dish's wall of 36 mm
-_LAYING_CLEARANCE = 0.01  # m, by which each finger opens to lay the tool down; no other value was tried
+_LAYING_CLEARANCE = 0.01  # m, by which each finger opens to lay the tool down; no other value is recorded
 _JOINT_STEP = 0.65  # rad, largest change of a joint in an action of a stroke or on the way; no other value is recorded
 # m, distances of a stroke from the middle of the dish, in the order of preference at equal scores: the dish is 144 mm
 # wide inside.
 _ASIDE = (0.0, 0.008, -0.008, 0.016, -0.016, 0.03, -0.03, 0.045, -0.045)
-_AHEAD = 0.0  # m from the middle of the dish along the heading; pieces beyond it count for a stroke, which pushes them
+_AHEAD = 0.0  # m from the middle of the dish along the heading; pieces beyond it count for a stroke
 _BEHIND = -0.03  # m from the middle of the dish along the heading; pieces before it hinder a tool that goes down there
 _FAILED_COST = 6  # pieces, by which the score is less for a line on which a stroke brought nothing: it would fail again
 _SPOON_STEP = math.radians(45)  # rad, of a spoon's tilt in an action; no other value is recorded
