@@ -37,7 +37,7 @@ EXTRAS = {
     "remote": ("msgpack", "policies in another process, serve-robot --portal"),
     "ray": ("ray", "record --executor ray"),
     "import": ("coacd", "assets import of glTF, SDFormat and other files"),
-    "inspect": ("kitchenbench", "eight of KitchenBench's tasks on the station"),
+    "inspect": ("kitchenbench", "KitchenBench's tasks on the station"),
     "mcap": ("mcap", "import of MCAP files"),
     "mcp": ("mcp", "mcp: tools for coding agents"),
     "photo": ("mujoco-studio", "--quality photo"),

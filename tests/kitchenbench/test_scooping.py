@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import mujoco
 import numpy as np
@@ -17,14 +19,17 @@ from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint
 
 from yamsim_cli.core.config.program_task import Role
+from yamsim_cli.core.expert.skills.planning_context import SkillFailedError
 from yamsim_cli.core.geometry.se3 import pose, rotation_z
+from yamsim_cli.kitchenbench import scoop
 from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene, open_station_session
 from yamsim_cli.kitchenbench.object_poses import feasible_poses
 from yamsim_cli.kitchenbench.pasta import fillings_of, is_body, is_pile, pasta_config_of
 from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
-from yamsim_cli.kitchenbench.scoop_strokes import pieces_on_spoon, stroke_headings, tool_of
+from yamsim_cli.kitchenbench.scoop_strokes import is_free_step, pieces_on_spoon, stroke_headings, tool_of
 from yamsim_cli.kitchenbench.success_judges import KitchenJudge
+from yamsim_cli.kitchenbench.tilting import Tilt
 from yamsim_cli.loose_pieces import loose_pieces, piece_count, stacked_poses
 
 SCENES = {scene.id: scene for scene in tasks.TASK_FACTORIES["scoop_pasta"]().scenes}
@@ -113,6 +118,111 @@ def test_pieces_over_the_head_of_a_spoon_count_as_carried() -> None:
     assert pieces_on_spoon(T, centres).tolist() == [True, False, False, False]
 
 
+def test_a_failed_line_has_a_worse_score_after_the_stroke_pushed_the_dish(
+    base: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blueprint = blueprint_of(SHALLOW)
+    configs = {
+        item.name: pasta_config_of(item, blueprint, base.locations) for item in blueprint.objects if is_body(item)
+    }
+    places, local = [pose((0.3, 0.4, 0.0), rotation_z(0.3))], np.array([[0.0, 0.05, 0.02], [0.03, 0.05, 0.02]])
+    world = SimpleNamespace(
+        pose=lambda name: places[-1], points_inside=lambda name, points: np.ones(len(points), dtype=bool)
+    )
+    context: Any = SimpleNamespace(world=world, object_configs=configs)
+    pieces: Any = Mock()
+    monkeypatch.setattr(scoop, "plan_knots", lambda *args: np.zeros((len(args[4]), 6)))
+    job = scoop._Job(context, "tool", "pile", "container", pieces)
+    hand: Any = SimpleNamespace()
+    job.use(hand, tool_of(configs["tool"], np.eye(4)))
+
+    def best_line() -> Any:
+        T_dish = places[-1]
+        pieces.centres = local @ T_dish[:3, :3].T + T_dish[:3, 3]
+        stroke = job.best_stroke(np.eye(4), np.zeros(6), 0.0)
+        assert stroke is not None
+        return stroke.line
+
+    first = best_line()
+    places.append(pose((0.31, 0.41, 0.0), rotation_z(0.35)))
+    assert best_line() == first
+    job.failed.add(first)
+    assert best_line() != first
+
+
+@pytest.mark.parametrize(("inside", "message"), [(60.0, ""), (80.0, "30 g too much are in the container")])
+def test_too_much_at_the_start_is_no_success(inside: float, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scoop, "LoosePieces", lambda *args: SimpleNamespace(grams_in=lambda container: inside))
+    context: Any = SimpleNamespace(world=SimpleNamespace(pose=lambda name: np.eye(4)), object_configs={})
+    roles: Any = SimpleNamespace(object_of=lambda role: role)
+    skill = scoop.Scoop(tool="tool", source="pile", into="container", grams=50.0, tolerance=15.0)
+    if not message:
+        assert list(skill.run(context, roles, ())) == []
+        return
+    with pytest.raises(SkillFailedError, match=message):
+        list(skill.run(context, roles, ()))
+
+
+def test_a_cup_is_weighed_before_every_step_of_a_tilt_and_after_the_last() -> None:
+    events = []
+    context: Any = SimpleNamespace(make_segment=lambda *args, **options: events.append("step"))
+    pieces: Any = SimpleNamespace(weigh=lambda: events.append("weigh"))
+    job, cup = scoop._Job(context, "tool", "pile", "container", pieces), Mock(is_spoon=False)
+    job.use(Mock(), cup)
+    angles = np.radians([65.0, 85.0, 105.0])
+    list(job.tilt(Tilt(angles, np.zeros((3, 6))), lambda: events.count("step") == 2))
+    assert events == ["weigh", "step", "weigh", "step", "weigh"]
+
+
+@pytest.mark.parametrize(("blocked", "way"), [(9.0, "follow"), (0.1, "search"), (0.75, "search")])
+def test_a_way_with_a_contact_at_its_start_or_end_is_searched(
+    blocked: float, way: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The joints go from 0 to 1 by way of 0.2 and 0.5."""
+    ways = []
+
+    def plan_free_path(*args: Any) -> Any:
+        ways.append("search")
+        return np.zeros((2, 6))
+
+    context: Any = SimpleNamespace(
+        find_contact=lambda hand, joints, opening, load: "wall" if abs(joints[0] - blocked) < 0.01 else None,
+        plan_free_path=plan_free_path,
+        make_segment=lambda *args, **options: ways.append("follow"),
+    )
+    hand = Mock(joints=np.zeros(6), opening=0.0, pinch_pose=lambda joints: np.eye(4))
+    hand.held_object.T_thing_in_pinch = np.eye(4)
+    monkeypatch.setattr(scoop, "plan_knots", lambda *args: np.array([np.full(6, 0.2), np.full(6, 0.5)]))
+    pieces: Any = None
+    job = scoop._Job(context, "tool", "pile", "container", pieces)
+    job.use(hand, Mock())
+    list(job.travel(np.ones(6)))
+    assert ways[0] == way
+
+
+def test_without_a_free_hand_the_message_says_so() -> None:
+    context: Any = SimpleNamespace(
+        world=SimpleNamespace(pose=lambda name: np.eye(4)), object_configs={"tool": None}, free_hands=lambda arm: []
+    )
+    skill = scoop.Scoop(tool="tool", source="pile", into="container", grams=50.0, tolerance=15.0)
+    pieces: Any = None
+    with pytest.raises(SkillFailedError, match="no grasp to scoop with the tool: no hand is free"):
+        skill._find_grasp(context, scoop._Job(context, "tool", "pile", "container", pieces))
+
+
+def test_a_step_is_free_in_one_posture_without_contact_on_the_way() -> None:
+    def is_free(end: float, blocked: float) -> bool:
+        context: Any = SimpleNamespace(
+            find_contact=lambda hand, joints, opening, load: "wall" if abs(joints[0] - blocked) < 0.1 else None
+        )
+        hand: Any = None
+        return is_free_step(context, hand, 0.0, hand, np.zeros(6), np.full(6, end))
+
+    assert is_free(1.0, blocked=2.0)
+    assert not is_free(1.0, blocked=0.5) and not is_free(1.0, blocked=1.0)
+    assert not is_free(1.6, blocked=3.0)
+
+
 @pytest.mark.slow
 def test_scooped_mass_counts_by_piece_and_too_much_is_no_success(base: Any) -> None:
     blueprint = blueprint_of(LEVEL)
@@ -151,7 +261,7 @@ def test_the_expert_scoops(name: str, epoch: int, base: Any) -> None:
     planning = PlanningScene(realized, int(derive_seed(0, SCENES[name].init_seed, epoch)), 10)
     try:
         judge = KitchenJudge(realized, planning.motion)
-        run_expert(planning, judge, 120)
+        assert run_expert(planning, judge, 120) <= 120
         assert judge.evaluate()[0]
         arrived = judge.world.contained_mass_g("pile", "container")
         assert abs(arrived - blueprint.success_params["target_g"]) <= 15.0

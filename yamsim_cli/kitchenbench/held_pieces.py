@@ -23,8 +23,8 @@ class LoosePieces:
     """
 
     def __init__(self, context: PlanningContext, filled: str, holder: str | None = None) -> None:
-        self._context, self._world, self._thing = context, context.world, holder or filled
-        self._empty = context.object_configs[self._thing]
+        self._context, self._world, self._holder = context, context.world, holder or filled
+        self._empty = context.object_configs[self._holder]
         model, prefix = context.model, piece_name_prefix(filled)
         self._bodies = np.array([k for k in range(model.nbody) if model.body(k).name.startswith(prefix)], dtype=int)
         if not len(self._bodies):
@@ -32,9 +32,9 @@ class LoosePieces:
         self.length = 2 * float(model.geom_size[model.body_geomadr[self._bodies[0]]][:2].sum())
 
     def weigh(self) -> None:
-        """Let the planning context know the mass and the centre of mass of the source with the pieces in it now."""
+        """Let the planning context know the mass and the centre of mass of the holder with the pieces in it now."""
         data, model = self._world.data, self._context.model
-        T = self._world.pose(self._thing)
+        T = self._world.pose(self._holder)
         bodies = self._bodies[self._are_inside()]
         masses = model.body_mass[bodies]
         centres = (data.xipos[bodies] - T[:3, 3]) @ T[:3, :3]
@@ -43,7 +43,7 @@ class LoosePieces:
         centre = (empty.mass * np.array(empty.centre) + masses @ centres) / total
         inertia = empty.model_copy(update={"mass_g": 1000 * total, "centre": tuple(float(x) for x in centre)})
         filled = self._empty.model_copy(update={"inertia": inertia})
-        self._context.object_configs = {**self._context.object_configs, self._thing: filled}
+        self._context.object_configs = {**self._context.object_configs, self._holder: filled}
 
     @property
     def centres(self) -> Array:
@@ -61,8 +61,8 @@ class LoosePieces:
 
     @property
     def left_share(self) -> float:
-        """Share of the pieces that are not in the source any more."""
+        """Share of the pieces that are not in the holder."""
         return 1.0 - float(self._are_inside().mean())
 
     def _are_inside(self) -> NDArray[np.bool_]:
-        return self._world.points_inside(self._thing, self.centres)
+        return self._world.points_inside(self._holder, self.centres)

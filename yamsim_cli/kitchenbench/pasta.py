@@ -112,7 +112,7 @@ def _solid_piece(asset: str, locations: Locations) -> ObjectConfig:
 def _thick_enough(piece: ObjectConfig, grams: float, most: int, thinner: bool) -> ObjectConfig:
     """Return a piece so thick that `most` of them weigh `grams`, if thinner ones would be too many.
 
-    With `thinner`, also a thicker piece gets as thin as that.
+    With `thinner`, a piece that is thicker than this becomes thinner.
 
     Longer pieces would wedge themselves between the walls of a carton, which are 37 mm apart: one of 70 mm can lean by
     26 degrees at most there, and friction (0.8) holds a piece that leans by less than 39 degrees.

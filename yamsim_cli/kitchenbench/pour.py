@@ -23,7 +23,16 @@ from ..core.expert.skills.planning_context import (
 from ..core.expert.skills.skill import Skill, find_holding_hand
 from ..core.geometry.se3 import Array, invert_pose
 from .held_pieces import LoosePieces
-from .tilting import TICKS, HeldSource, Tilt, carry_upright, grasps_from_side, longest_tilt, tilt_path
+from .tilting import (
+    TICKS,
+    HeldSource,
+    PouringTilt,
+    carry_upright,
+    grasps_from_side,
+    longest_tilt,
+    nearest_free_hands,
+    tilt_path,
+)
 
 _LIFT = 0.05  # m
 _RISE, _MAX_RISES = 0.04, 6  # m and count, of the steps in which a hand rises from a source that it touches
@@ -93,10 +102,7 @@ class Pour(Skill):
         """Return the hand and the grasp with which the source tilts furthest."""
         best: tuple[float, Hand, ReachableGrasp] | None = None
         picker, reasons = Pick(thing=self.thing, lift=_LIFT), dict[str, int]()
-        hands = sorted(
-            context.free_hands("any"),
-            key=lambda hand: float(np.linalg.norm(context.world.pose(thing)[:2, 3] - hand.arm.T_base_in_world[:2, 3])),
-        )
+        hands = nearest_free_hands(context, thing)
         for hand, candidate in itertools.product(hands, list(grasps_from_side(context.object_configs[thing]))):
             found = picker.find_reachable_grasp(context, hand, thing, candidate)
             if not isinstance(found, ReachableGrasp):
@@ -119,7 +125,7 @@ class Pour(Skill):
         return best[1], best[2]
 
     def _tilt_until_poured(
-        self, context: PlanningContext, hand: Hand, tilt: Tilt, pieces: LoosePieces
+        self, context: PlanningContext, hand: Hand, tilt: PouringTilt, pieces: LoosePieces
     ) -> Iterator[MotionSegment]:
         """Yield the motions that tilt the source until it is empty, shake it at the largest angle, and tilt it back.
 
@@ -177,13 +183,13 @@ def _raise_touching_hands(context: PlanningContext) -> Iterator[MotionSegment]:
             yield context.make_segment({hand: context.plan_line(hand, T)})
 
 
-def _shake(tilt: Tilt) -> Iterator[Array]:
+def _shake(tilt: PouringTilt) -> Iterator[Array]:
     """Yield the motions (n + 1, dof) of a shake along the source's axis, at the largest tilt."""
     yield np.linspace(tilt.joints[-1], tilt.back, TICKS + 1)
     yield np.linspace(tilt.back, tilt.joints[-1], TICKS + 1)
 
 
-def _swing(tilt: Tilt) -> Iterator[Array]:
+def _swing(tilt: PouringTilt) -> Iterator[Array]:
     """Yield the motions (n + 1, dof) that tilt a source back and again, which loosens pieces that wedge each other."""
     largest = float(tilt.angles[-1])
     for start, end in ((0.0, 1.0), (1.0, 2.0), (2.0, 1.0), (1.0, 0.0)):

@@ -24,6 +24,7 @@ from ..core.geometry.se3 import Array, invert_pose, rotation_from_vector, rotati
 from .held_pieces import LoosePieces
 from .scoop_strokes import (
     ScoopTool,
+    is_free_step,
     pieces_on_spoon,
     plan_knots,
     plan_laying_down,
@@ -32,31 +33,36 @@ from .scoop_strokes import (
     tool_grasps,
     tool_of,
 )
-from .tilting import TICKS, HeldSource, Tilt, tilt_path
+from .tilting import TICKS, HeldSource, Tilt, nearest_free_hands, tilt_path
 
-_LIFT = 0.05  # m
-_LAYING_CLEARANCE = 0.01  # m, by which each finger opens to lay the tool down
-_JOINT_STEP = 0.65  # rad, largest change of a joint in an action of a stroke or on the way
-# m, of a stroke from the middle of the dish
+_LIFT = 0.05  # m, straight up after grasping the tool: over the dish's wall of 36 mm
+_LAYING_CLEARANCE = 0.01  # m, by which each finger opens to lay the tool down; no other value is recorded
+_JOINT_STEP = 0.65  # rad, largest change of a joint in an action of a stroke or on the way; no other value is recorded
+# m, distances of a stroke from the middle of the dish, in the order of preference at equal scores: the dish is 144 mm
+# wide inside.
 _ASIDE = (0.0, 0.008, -0.008, 0.016, -0.016, 0.03, -0.03, 0.045, -0.045)
-# Pieces of a stroke's score: those ahead of the dish's middle count, those where the tool goes down hinder it, m. A
-# stroke that brought nothing is worth less.
-_AHEAD, _BEHIND, _FAILED_COST = 0.0, -0.03, 6
-# rad, of a tool's tilt in an action; actions in which the tool waits at its largest tilt
-_SPOON_STEP, _POUR_STEP, _MAX_WAITS = math.radians(45), math.radians(20), 2
-_WAY_SHARES = (0.33, 0.67)  # of the way to the container and back, at which the tool's pose is set
-_MAX_WAY_STEP = 1.5  # rad, of a joint on the last part of such a way; more is another posture
-_MAX_SCOOPS = 14
+_AHEAD = 0.0  # m from the middle of the dish along the heading; pieces beyond it count for a stroke
+_BEHIND = -0.03  # m from the middle of the dish along the heading; pieces before it hinder a tool that goes down there
+_FAILED_COST = 6  # pieces, by which the score is less for a line on which a stroke brought nothing: it would fail again
+_SPOON_STEP = math.radians(45)  # rad, of a spoon's tilt in an action; no other value is recorded
+_POUR_STEP = math.radians(20)  # rad, of a cup's tilt in an action; no other value is recorded
+_MAX_WAITS = 2  # actions in which the tool waits at its largest tilt, for pieces that slide slowly
+_WAY_SHARES = (0.33, 0.67)  # of the way to the container and back, at which the tool's pose is set: thirds
+_MAX_SCOOPS = 14  # scoops in all: more than fit in the benchmark's 120 actions, of which one takes 12 to 20
 _MAX_EMPTY = 4  # scoops in a row that bring nothing, after which the expert gives up
 
 
 @dataclass(frozen=True)
 class _Stroke:
-    """A stroke: joints (n, dof) of its poses, its heading, rad, and its distance from the middle of the dish, m."""
+    """A stroke: joints (n, dof) of its poses, its heading in `world`, rad, and its line.
+
+    A line is two indices, of a heading of `stroke_headings` and of a distance in `_ASIDE`, which stay when a stroke
+    pushes the dish.
+    """
 
     joints: Array
     heading: float
-    aside: float
+    line: tuple[int, int]
 
 
 class _NoStrokeError(SkillFailedError):
@@ -64,7 +70,7 @@ class _NoStrokeError(SkillFailedError):
 
 
 class Scoop(Skill):
-    """Scoop `grams` (g) of the loose pieces in `source` into another object with a `tool`, up to `tolerance` (g)."""
+    """Scoop `grams` (g) of the loose pieces in `source` into another object with a `tool`, within `tolerance` (g)."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("tool", "source", "into")
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
@@ -83,7 +89,7 @@ class Scoop(Skill):
         pieces = LoosePieces(context, source, tool)
         job = _Job(context, tool, source, into, pieces)
         missing = self.grams - pieces.grams_in(into)
-        if missing <= self.tolerance:
+        if abs(missing) <= self.tolerance:
             return
         T_start, configs, empty = context.world.pose(tool), context.object_configs, 0
         try:
@@ -102,7 +108,8 @@ class Scoop(Skill):
             context.object_configs = configs
         missing = self.grams - pieces.grams_in(into)
         if abs(missing) > self.tolerance:
-            raise SkillFailedError(FailureCause.GOAL, f"{missing:.0f} g are missing in the {into}")
+            text = f"{missing:.0f} g are missing in" if missing > 0 else f"{-missing:.0f} g too much are in"
+            raise SkillFailedError(FailureCause.GOAL, f"{text} the {into}")
 
     def _take(self, context: PlanningContext, job: _Job) -> Iterator[MotionSegment]:
         """Yield the motions that grasp the tool, unless a hand holds it."""
@@ -117,13 +124,7 @@ class Scoop(Skill):
         """Return the hand and the first grasp with which a stroke and a tilt over the container are possible."""
         picker, reasons = Pick(thing=self.tool, lift=_LIFT), dict[str, int]()
         config = context.object_configs[job.tool_name]
-        hands = sorted(
-            context.free_hands("any"),
-            key=lambda hand: float(
-                np.linalg.norm(context.world.pose(job.tool_name)[:2, 3] - hand.arm.T_base_in_world[:2, 3])
-            ),
-        )
-        for hand in hands:
+        for hand in nearest_free_hands(context, job.tool_name):
             for candidate in tool_grasps(config):
                 found = picker.find_reachable_grasp(context, hand, job.tool_name, candidate)
                 if not isinstance(found, ReachableGrasp):
@@ -138,7 +139,8 @@ class Scoop(Skill):
                 if why is None:
                     return hand, found
                 reasons[why] = reasons.get(why, 0) + 1
-        raise SkillFailedError(FailureCause.UNREACHABLE, f"no grasp to scoop: {summarize_reasons(reasons)}")
+        why = summarize_reasons(reasons) or "no hand is free"
+        raise SkillFailedError(FailureCause.UNREACHABLE, f"no grasp to scoop with the {job.tool_name}: {why}")
 
 
 class _Job:
@@ -148,7 +150,7 @@ class _Job:
         self.context, self.tool_name, self.source, self.into, self.pieces = context, tool, source, into, pieces
         self.hand: Hand
         self.tool: ScoopTool
-        self.failed: set[tuple[float, float]] = set()
+        self.failed: set[tuple[int, int]] = set()  # lines of strokes that brought nothing since the last that did
 
     def use(self, hand: Hand, tool: ScoopTool | None) -> None:
         """Set the hand and its tool."""
@@ -165,26 +167,26 @@ class _Job:
         return None
 
     def best_stroke(self, T_thing_in_pinch: Array, joints: Array, opening: float) -> _Stroke | None:
-        """Return the free stroke with most pieces in its swath."""
+        """Return the free stroke with the best score: pieces ahead, minus pieces where the tool goes down."""
         context = self.context
         load = AttachedObject(self.tool_name, T_thing_in_pinch, (self.source,))
         T_dish, dish = context.world.pose(self.source), context.object_configs[self.source]
         off = (self.pieces.centres - T_dish[:3, 3])[self.context.world.points_inside(self.source, self.pieces.centres)]
         options = []
-        for heading in stroke_headings(T_dish):
+        for direction, heading in enumerate(stroke_headings(T_dish)):
             ahead = np.array((math.cos(heading), math.sin(heading), 0.0))
             along, left = off @ ahead, off @ np.array((-ahead[1], ahead[0], 0.0))
-            for aside in _ASIDE:
+            for place, aside in enumerate(_ASIDE):
                 near = np.abs(left - aside) < self.tool.half_width
                 score = int((near & (along > _AHEAD)).sum()) - int((near & (along < _BEHIND)).sum())
-                score -= _FAILED_COST * ((heading, aside) in self.failed)
-                options.append((score, heading, aside))
+                score -= _FAILED_COST * ((direction, place) in self.failed)
+                options.append((score, heading, aside, (direction, place)))
         options.sort(key=lambda one: (-one[0], abs(one[2])))
-        for _, heading, aside in options:
+        for _, heading, aside, line in options:
             poses = self.tool.stroke(dish, T_dish, heading, aside)
             rows = plan_knots(context, self.hand, opening, load, poses, joints)
             if len(rows) == len(poses):
-                return _Stroke(rows, heading, aside)
+                return _Stroke(rows, heading, line)
         return None
 
     def release(
@@ -208,7 +210,7 @@ class _Job:
         held = context.measure_held_object(hand)
         carried = self.carried()
         if not carried:
-            self.failed.add((stroke.heading, stroke.aside))
+            self.failed.add(stroke.line)
             return
         self.failed.clear()
         if carried > missing + tolerance:
@@ -219,6 +221,7 @@ class _Job:
             yield from self.tilt(back, lambda: self.carried() <= missing + tolerance / 2)
             if not self.carried():
                 return
+            held = context.measure_held_object(hand)
         tilt = self.release(self.into, held.T_thing_in_pinch, hand.joints, hand.opening, stroke.heading)
         if tilt is None:
             raise SkillFailedError(
@@ -248,14 +251,18 @@ class _Job:
         T_spoon = self.context.world.pose(self.tool_name)
         return self.pieces.grams(pieces_on_spoon(T_spoon, self.pieces.centres))
 
+    def weigh(self) -> None:
+        """Let the planning context know the mass of a cup with the pieces in it now; a spoon has no interior."""
+        if not self.tool.is_spoon:
+            self.pieces.weigh()
+
     def tilt(self, tilt: Tilt, is_done: Callable[[], bool]) -> Iterator[MotionSegment]:
         """Yield the motions that tilt the tool step by step until `is_done`, or until it has waited fully tilted."""
         first, largest = float(tilt.angles[0]), float(tilt.angles[-1])
         angle = first
         step, waits = _SPOON_STEP if self.tool.is_spoon else _POUR_STEP, 0
         while not is_done() and waits < _MAX_WAITS:
-            if not self.tool.is_spoon:
-                self.pieces.weigh()
+            self.weigh()
             goal = min(angle + step, largest)
             if goal > angle:
                 yield self.context.make_segment({self.hand: tilt_path(tilt, angle, goal)}, wait_for_arrival=False)
@@ -263,9 +270,13 @@ class _Job:
                 waits += 1
                 yield self.context.wait_segment(TICKS)
             angle = goal
+        self.weigh()
 
     def travel(self, joints: Array) -> Iterator[MotionSegment]:
-        """Yield the motions that bring the tool to other joints, level on the way."""
+        """Yield the motions that bring the tool to other joints (dof,).
+
+        It turns evenly on the way, or goes around obstacles in any orientation.
+        """
         context, hand = self.context, self.hand
         held = hand.held_object
         assert held is not None
@@ -280,7 +291,10 @@ class _Job:
             T[:3, :3] = T0[:3, :3] @ rotation_from_vector(share * turn)
             poses.append(T)
         rows = plan_knots(context, hand, hand.opening, load, poses, hand.joints)
-        if len(rows) == len(poses) and np.abs(rows[-1] - joints).max() < _MAX_WAY_STEP:
+        if len(rows) == len(poses) and all(
+            is_free_step(context, hand, hand.opening, load, start, end)
+            for start, end in ((hand.joints, rows[0]), (rows[-1], joints))
+        ):
             yield from self.follow(np.array([*rows, joints]))
             return
         path = context.plan_free_path(hand, joints, hand.opening, load)

@@ -23,7 +23,7 @@ from ..core.expert.skills.planning_context import PlanningContext
 from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_vector, rotation_z
 from .tilting import HeldSource, Tilt, grasps_from_side, height_of, lip_height, opening_radius
 
-_MAX_KNOT_STEP = 1.5  # rad, of a joint between two poses of a stroke; more is another posture
+_MAX_STEP = 1.5  # rad, of a joint between two poses of a stroke or of a way; more is another posture
 _CHECKS = (0.5, 1.0)  # shares of the way between two poses at which contacts are checked
 
 # Poses of a stroke: distance of the tip from the dish's far wall along the heading, m; its height over the dish's
@@ -41,24 +41,31 @@ _SPOON_LEANS = tuple(math.radians(angle) for angle in (15, 30, -15, -30))  # rad
 # Directions from which a hand may grasp a cup: pads lie flat on its collision boxes.
 _CUP_AZIMUTHS = 8
 _CUP_SHARES = (0.5, 0.6, 0.7)  # heights of that hand, as shares of the cup's height: near its centre of mass
-_SPOON_FORCE, _SPOON_CLEARANCE = 18.0, 0.010  # N of each finger; m, additional opening before closing
-# rad, from the heading of a stroke to that of the spoon over a vessel, in the order tried
+_SPOON_FORCE = 18.0  # N of each finger, command for the handle; the drive gives 11 N at this width
+_SPOON_CLEARANCE = 0.010  # m, additional opening of each finger before closing; no other value is recorded
+# rad, from the heading of a stroke to that of the tool over a vessel, in the order tried: small turns need few actions
 _RELEASE_TURNS = tuple(math.radians(turn) for turn in (0, -30, 30, -60, 60, -90, 90, 120, -120, 150, -150, 180))
 _ROLLS = (0, 1, -1)  # the side to which a spoon rolls over a vessel; 0 for one that tilts down by its tip
-# rad, of a tool's tilt over a vessel
-_SPOON_ANGLES = tuple(math.radians(angle) for angle in range(0, 106, 15))
+_SPOON_ANGLES = tuple(math.radians(angle) for angle in range(0, 106, 15))  # rad, of a spoon's tilt: it begins level
+# rad, of a cup's tilt: it begins near the 60 degrees with which a stroke ends
 _CUP_ANGLES = tuple(math.radians(angle) for angle in range(65, 146, 10))
-# rad, of the largest tilt: the least that a grasp has to allow, and that after which no other way is tried
-_SPOON_RELEASE = math.radians(60), math.radians(90)
-_CUP_RELEASE = math.radians(115), math.radians(125)
-# Shares of the roll of a spoon in its hand that stay when the hand lays it down, and turns about the vertical, rad, in
-# the order tried
-_ROLLS_LEFT, _LAYING_TURNS = (0.0, 0.5, 1.0), tuple(math.radians(turn) for turn in (0, 20, -20, 40, -40))
-_LAYING_OVER, _LAYING_RISE, _LAYING_WAY = 0.004, 0.012, 0.06  # m, from the table; more for a rolled spoon; the way down
-_WAY_COST = 0.3  # rad of tilt that a way longer by 1 rad has to gain
-_LIP_BEHIND, _LIP_GAP = 0.02, 0.025  # m, of a cup's lip behind the vessel's middle, and from the cup to the rim
-# m, of the spoon's tip: behind the vessel's middle and over its rim, and the same for a spoon that rolls to a side
-_TIP_BEHIND, _TIP_OVER, _TIP_AHEAD, _SIDE_OVER = 0.015, 0.03, 0.025, 0.035
+_SPOON_RELEASE = math.radians(60)  # rad, least largest tilt of a spoon: pieces slide from 19 degrees on (friction 0.35)
+_SPOON_ENOUGH = math.radians(90)  # rad, tilt of a spoon beyond which more counts nothing: its head is vertical
+_CUP_RELEASE = math.radians(115)  # rad, least largest tilt of a cup: pieces slide from 109 degrees on (friction 0.35)
+_CUP_ENOUGH = math.radians(125)  # rad, tilt of a cup beyond which more counts nothing; no other value is recorded
+_ROLLS_LEFT = (0.0, 0.5, 1.0)  # shares of a spoon's roll in its hand that stay when it is laid down, in the order tried
+# rad, turns about the vertical of a spoon that is laid down, in the order tried: its first heading suits another grasp
+_LAYING_TURNS = tuple(math.radians(turn) for turn in (0, 20, -20, 40, -40))
+_LAYING_OVER = 0.004  # m, of a spoon over its first place when the hand opens, so that it does not press on the table
+_LAYING_RISE = 0.012  # m, by which a fully rolled spoon is higher than that; no other value is recorded
+_LAYING_WAY = 0.06  # m, of the way straight down to that place; no other value is recorded
+_WAY_COST = 0.3  # rad of tilt that a way longer by 1 rad has to gain: longer ways need more actions
+_LIP_BEHIND = 0.02  # m, of a cup's lip behind the vessel's middle: half of a piece (40 mm), which then topples
+_LIP_GAP = 0.025  # m, from a cup to the vessel's rim; no other value is recorded
+_TIP_BEHIND = 0.015  # m, of a spoon's tip behind the vessel's middle, so that pieces that slide off fall near it
+_TIP_OVER = 0.03  # m, of a spoon's tip over the vessel's rim; no other value is recorded
+_TIP_AHEAD = 0.025  # m, of the tip of a spoon that rolls, ahead of the vessel's middle: its head is then over it
+_SIDE_OVER = 0.035  # m, of the tip of a spoon that rolls, over the vessel's rim: its side goes down by half its width
 # m in the spoon's frame: the box over its head in which pieces count as carried
 _HEAD_LOW: Array = np.array((-0.035, 0.02, -0.005))
 _HEAD_HIGH: Array = np.array((0.035, 0.115, 0.08))
@@ -151,13 +158,23 @@ def plan_knots(
     rows, T_pinch_in_tool = list[Array](), invert_pose(load.T_thing_in_pinch)
     for T_tool in poses:
         found = hand.solve_ik(T_tool @ T_pinch_in_tool, (rows[-1],) if rows else (start, hand.ready_joints))
-        if found is None or (rows and np.abs(found - rows[-1]).max() > _MAX_KNOT_STEP):
+        if found is None:
             break
-        between = [found] if not rows else [rows[-1] + share * (found - rows[-1]) for share in _CHECKS]
-        if any(context.find_contact(hand, joints, opening, load) for joints in between):
+        if rows and not is_free_step(context, hand, opening, load, rows[-1], found):
+            break
+        if not rows and context.find_contact(hand, found, opening, load):
             break
         rows.append(found)
     return np.array(rows)
+
+
+def is_free_step(
+    context: PlanningContext, hand: Hand, opening: float, load: AttachedObject, start: Array, end: Array
+) -> bool:
+    """Whether a hand can move a held tool straight from joints to others (dof,): without contact, in one posture."""
+    if np.abs(end - start).max() > _MAX_STEP:
+        return False
+    return not any(context.find_contact(hand, start + share * (end - start), opening, load) for share in _CHECKS)
 
 
 def plan_release(
@@ -175,13 +192,13 @@ def plan_release(
             angles, poses = _CUP_ANGLES, _cup_release(context, source, tool, vessel, heading + turn)
         rows = plan_knots(context, source.hand, source.opening, source.load, poses, source.joints)
         largest = angles[len(rows) - 1] if len(rows) else 0.0
-        least, enough = _SPOON_RELEASE if tool.is_spoon else _CUP_RELEASE
+        least, enough = (_SPOON_RELEASE, _SPOON_ENOUGH) if tool.is_spoon else (_CUP_RELEASE, _CUP_ENOUGH)
         if largest < least:
             continue
         # A near start saves actions.
         score = min(largest, enough) - _WAY_COST * float(np.abs(rows[0] - source.joints).max())
         if best is None or score > best[0]:
-            best = score, Tilt(np.array(angles[: len(rows)]), rows, rows[-1], 0.0, False)
+            best = score, Tilt(np.array(angles[: len(rows)]), rows)
     return None if best is None else best[1]
 
 

@@ -1,4 +1,4 @@
-"""Tilts of a held vessel over another one, and its way there."""
+"""Tilts of a held vessel or tool over another vessel, and the way of a vessel there."""
 
 from __future__ import annotations
 
@@ -54,13 +54,23 @@ _SEARCH_SEED = 0  # of the random search for a way around
 
 @dataclass(frozen=True)
 class Tilt:
-    """A motion that tilts the source over the vessel, as its angles (n,), rad, increasing from 0, and joints (n, dof).
+    """A motion that tilts a held object over a vessel, as its angles (n,), rad, increasing, and joints (n, dof)."""
+
+    angles: Array
+    joints: Array
+
+    def joints_at(self, angle: float) -> Array:
+        """Return the joints (dof,) at an angle, rad."""
+        return np.array([np.interp(angle, self.angles, row) for row in self.joints.T])
+
+
+@dataclass(frozen=True)
+class PouringTilt(Tilt):
+    """A tilt of a source from upright (angle 0), with a shake at its largest angle.
 
     `back` are joints (dof,) with which the source, at its largest angle, is drawn back along its axis by `stroke`, m.
     """
 
-    angles: Array
-    joints: Array
     back: Array
     stroke: float
     over_narrow_vessel: bool
@@ -70,17 +80,13 @@ class Tilt:
         """The largest angle, rad, and what the stroke of shaking is worth."""
         return float(self.angles[-1]) + _STROKE_VALUE * self.stroke
 
-    def joints_at(self, angle: float) -> Array:
-        """Return the joints (dof,) at an angle, rad."""
-        return np.array([np.interp(angle, self.angles, row) for row in self.joints.T])
-
 
 @dataclass(frozen=True)
 class HeldSource:
-    """A source that a hand holds upright, now or in a grasp that is tried.
+    """A source or a tool to scoop that a hand holds, now or in a grasp that is tried.
 
     Attributes:
-        load: the source in the hand.
+        load: the source or the tool in the hand.
         joints: of the hand (dof,), rad.
         opening: of each finger, m.
         piece_length: of its loose pieces, m.
@@ -91,6 +97,14 @@ class HeldSource:
     joints: Array
     opening: float
     piece_length: float
+
+
+def nearest_free_hands(context: PlanningContext, thing: str) -> list[Hand]:
+    """Return the hands that hold nothing, in the order of their arms' distances from an object."""
+    middle = context.world.pose(thing)[:2, 3]
+    return sorted(
+        context.free_hands("any"), key=lambda hand: float(np.linalg.norm(middle - hand.arm.T_base_in_world[:2, 3]))
+    )
 
 
 def grasps_from_side(
@@ -150,12 +164,14 @@ def _tilt_directions(source: ObjectConfig) -> Iterator[tuple[Array, float, float
         yield np.array([math.cos(turn), math.sin(turn), 0.0]), shape.diameter_mm / 2000, 0.0
 
 
-def longest_tilt(context: PlanningContext, source: HeldSource, vessel: str, enough: float = math.inf) -> Tilt | None:
-    """Return the motion that tilts a held source furthest over a vessel; None if none reaches `_MIN_TILT`.
+def longest_tilt(
+    context: PlanningContext, source: HeldSource, vessel: str, enough: float = math.inf
+) -> PouringTilt | None:
+    """Return the motion that tilts a source, held upright, furthest over a vessel; None if none reaches `_MIN_TILT`.
 
     The first motion that reaches the angle `enough`, rad, is returned.
     """
-    best: Tilt | None = None
+    best: PouringTilt | None = None
     for direction, lip, turn in _tilt_directions(context.object_configs[source.load.thing]):
         found = _tilt_towards(context, source, vessel, direction, lip, turn)
         if found is not None and (best is None or found.score > best.score):
@@ -167,7 +183,7 @@ def longest_tilt(context: PlanningContext, source: HeldSource, vessel: str, enou
 
 def _tilt_towards(
     context: PlanningContext, source: HeldSource, vessel: str, direction: Array, lip: float, turn: float
-) -> Tilt | None:
+) -> PouringTilt | None:
     """Return the motion that tilts a held source over a vessel as far as possible; None if that is not far enough.
 
     `direction`, `lip` and `turn` are as in `_tilt_directions`.
@@ -205,7 +221,7 @@ def _tilt_towards(
     narrow = radius < _NARROW
     longest = _NARROW_SHAKE if narrow else max(_SHAKES)
     back, stroke = _shake_back(context, source, rows[-1], longest)
-    return Tilt(np.array(angles), np.array(rows), back, stroke, narrow)
+    return PouringTilt(np.array(angles), np.array(rows), back, stroke, narrow)
 
 
 def _edge_distance(context: PlanningContext, vessel: str, direction: Array) -> float:
