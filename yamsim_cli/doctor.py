@@ -23,6 +23,7 @@ from .cpu_limits import usable_cores, usable_memory
 from .filesystem_mounts import network_mount, read_mounts
 from .gl import INSTALL_GL, LINUX_BACKENDS, GlBackend, probe_backend
 from .photo_rendering.filament_context import require_filament
+from .photo_rendering.filament_process import MAX_BYTES
 
 # Packages that every command needs.
 PACKAGES = ("mujoco", "mink", "daqp", "numpy", "opencv-python-headless", "pydantic", "pyyaml", "rich", "typer")
@@ -45,7 +46,7 @@ EXTRAS = {
 }
 
 # Resident memory, bytes. Source: measured at 640x480, rounded up.
-_WORKER_BYTES = 300_000_000  # of a worker process that renders
+_WORKER_BYTES = 300_000_000  # of a worker process that renders, without the processes of --quality photo
 _RECORDER_BYTES = 150_000_000  # of the recording process
 
 # Typical episode with one camera at 640x480.
@@ -174,7 +175,8 @@ def _check_photo() -> HealthCheck:
     except ResourceError as error:
         # Other qualities work without it. The error names the fix.
         return HealthCheck("photo", Health.OK, f"does not work: {error}")
-    return HealthCheck("photo", Health.OK, f"--quality photo works, by {device}")
+    memory = f"{MAX_BYTES / 1e9:.1f} GB of memory more for each renderer of a worker"
+    return HealthCheck("photo", Health.OK, f"--quality photo works, by {device}; it takes up to {memory}")
 
 
 def _check_meshes(locations: Locations) -> Iterator[HealthCheck]:

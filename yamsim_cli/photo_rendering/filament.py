@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ _SRGB_EXPONENT = 2.2  # of linear light, approximately
 _SKY_SHADOW_SHARE = 0.4  # share of the sky's light that casts shadows; the rest comes from everywhere
 _COVERAGE_SAMPLES = 4  # renderings that find the share of the sky in a pixel, if an image shows any
 _SKY_SHADOW_TEXELS = 512  # edge of the sky's shadow map: coarse texels blur shadows that should have no edges
-_MIN_TINT = 0.1  # of the mean, the least part of a colour in the sky's light
+_MIN_TINT = 0.1  # least value of a channel of the sky's light, as a share of the mean of the channels
 # Linear light from 0 to 1: darker tones come from renderings with high gain alone, brighter ones from none of them. At
 # the brighter end, an 8-bit step of the other renderings is about 1 of 255 in sRGB.
 _DARK_TONES = (0.015, 0.05)
@@ -111,8 +111,9 @@ class FilamentRenderer:
         """Return the mean linear light (height, width, 3) of samples."""
         assert self._scene is not None
         mean = np.zeros(self._pixels.shape, np.float32)
+        sources, tint = frozenset(sample.source for sample in samples), _sky_tint(self._model)
         for sample in samples:
-            self._scene.illuminate(data, sample, _sky_tint(self._model), self._abstract.camera[0].forward)
+            self._scene.illuminate(data, sample, sources, tint, self._abstract.camera[0].forward)
             self._render_sample(self._scene, sample)
             mean += self._pixels * np.float32(1 / (255 * sample.gain * len(samples)))
         return mean
@@ -204,9 +205,22 @@ class _FilamentScene:
             light.set_intensity(0.0)
 
     def illuminate(
-        self, data: mujoco.MjData, sample: LightSample, tint: NDArray[np.float64], forward: NDArray[np.float64]
+        self,
+        data: mujoco.MjData,
+        sample: LightSample,
+        sources: Collection[int],
+        tint: NDArray[np.float64],
+        forward: NDArray[np.float64],
     ) -> None:
-        """Set all lights for one rendering. `forward` (3,) is the camera's direction, which the headlight has."""
+        """Set all lights for one rendering.
+
+        Args:
+            data: the state, which has the directions of the lights.
+            sample: the rendering.
+            sources: sources of all samples of the image. Other lights shine without shadows in each rendering.
+            tint: colour (3,) of the sky's light.
+            forward: direction (3,) of the camera, which the headlight has.
+        """
         model, gain = self._model, sample.gain * _EXPOSURE
         ambient = float(np.mean(model.vis.headlight.ambient)) * gain if model.vis.headlight.active else 0.0
         self._sky.set_intensity(_SKY_UNIT * ambient * (1 - _SKY_SHADOW_SHARE))
@@ -218,7 +232,7 @@ class _FilamentScene:
         for k, light in enumerate(self._others):
             colour = _linear_colour(model.light_diffuse[k]) / tint * gain
             direction = np.asarray(data.light_xdir[k], np.float64)
-            if not model.light_active[k] or (model.light_castshadow[k] and k != sample.source):
+            if not model.light_active[k] or (k in sources and k != sample.source):
                 light.set_active(False)
             elif k == sample.source:
                 light.set_active(False)

@@ -1,4 +1,4 @@
-"""Runs Filament in a process of its own, which ends with its parent.
+"""Runs Filament in a process of its own, which ends when its parent closes the connection or ends for any reason.
 
 Filament 4.0.0 with Mesa's Vulkan driver keeps 1 to 1.5 MB of memory of each rendering until its process ends. So the
 process is replaced when it has grown too large. A driver that aborts ends this process, and not that of the caller.
@@ -6,12 +6,15 @@ process is replaced when it has grown too large. A driver that aborts ends this 
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pickle
 import resource
 import subprocess
 import sys
 import tempfile
+import threading
+import time
 from collections.abc import Callable
 from importlib.metadata import version
 from multiprocessing import Pipe
@@ -25,8 +28,13 @@ from ..core.errors import ResourceError
 from ..core.images.image import Image
 from .filament_context import require_filament
 
-_MAX_BYTES = 1_500_000_000  # of memory of the process, about 40 images, after which another one takes its place
+MAX_BYTES = 1_500_000_000  # of memory of the process, about 40 images, after which another one takes its place
 _END_SECONDS = 10  # s, for the end of a process that was told to end
+_ANSWER_SECONDS = (
+    600  # s, longest wait for the start and for an image, which take seconds; then the driver counts as hung
+)
+_PARENT_POLL_SECONDS = 1.0  # s, between two looks whether the parent still exists
+_ADVICE = "run `yamsim doctor`, or take another --quality"
 # What an image depends on and attempts vary: fields of `MjModel`, of its headlight, and of `MjData`.
 _MODEL_FIELDS = (
     "geom_group", "geom_matid", "geom_rgba", "flex_group", "flex_matid", "flex_rgba", "mat_rgba", "mat_specular",
@@ -59,7 +67,7 @@ class FilamentProcess(Closable):
         self._model, self._size, self._samples = model, size, samples
         self._process: subprocess.Popen[bytes] | None = None
         self._connection: Connection[Any, Any] | None = None
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed by `close`
+        self._errors = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - closed by `close`
         self._reload = False
 
     def reload_textures(self) -> None:
@@ -71,52 +79,78 @@ class FilamentProcess(Closable):
         model = self._model
         try:
             if self._connection is None:
-                self._connection = self._start()
+                self._start()
             state = {key: getattr(model, key) for key in _MODEL_FIELDS}
             headlight = {key: getattr(model.vis.headlight, key) for key in _HEADLIGHT_FIELDS}
             poses = {key: getattr(data, key) for key in _DATA_FIELDS}
-            self._connection.send((camera, state, headlight, poses, model.tex_data if self._reload else None))
+            self._send((camera, state, headlight, poses, model.tex_data if self._reload else None))
             self._reload = False
-            while (answer := self._connection.recv()) is None:
-                self._connection.send(background())
-        except (EOFError, OSError) as error:
-            raise ResourceError(self._explain_end()) from error
+            while (answer := self._receive()) is None:
+                self._send(background())
+        except BaseException:
+            # An answer that nobody received would be taken for the next image.
+            self._kill()
+            raise
         image: Image = answer[0]
-        if answer[1] > _MAX_BYTES:
+        if answer[1] > MAX_BYTES:
             self._stop()
         return image
 
-    def _start(self) -> Connection[Any, Any]:
-        ours, theirs = Pipe()
+    def _start(self) -> None:
+        self._errors.seek(0)
+        self._errors.truncate()
+        self._connection, theirs = Pipe()
         with theirs:
+            # Ctrl-C in the terminal does not reach a separate session.
             self._process = subprocess.Popen(
-                [sys.executable, "-m", __name__, str(theirs.fileno())],
+                [sys.executable, "-m", __name__, str(theirs.fileno()), str(os.getpid())],
                 stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=self._errors, pass_fds=[theirs.fileno()],
                 env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+                start_new_session=True,
             )  # fmt: skip
-        ours.send((self._model, self._size, self._samples))
+        self._send((self._model, self._size, self._samples))
         self._reload = False
-        return ours
+        self._receive()
+
+    def _send(self, message: object) -> None:
+        assert self._connection is not None
+        try:
+            self._connection.send(message)
+        except OSError as error:
+            raise ResourceError(self._explain_end()) from error
+
+    def _receive(self) -> Any:
+        assert self._connection is not None
+        try:
+            if self._connection.poll(_ANSWER_SECONDS):
+                return self._connection.recv()
+        except (EOFError, OSError) as error:
+            raise ResourceError(self._explain_end()) from error
+        raise ResourceError(f"the process of {self.description} hangs: no answer after {_ANSWER_SECONDS} s; {_ADVICE}")
 
     def _explain_end(self) -> str:
-        code = self._process.wait() if self._process else None
+        process = self._process
+        self._stop()
+        code = process.returncode if process else None
         self._errors.seek(0)
         lines = self._errors.read().decode(errors="replace").strip().splitlines() or ["it left no message"]
-        self._stop()
-        return (
-            f"the process of {self.description} ended with code {code} ({lines[-1].strip()}); run `yamsim doctor`, or "
-            "take another --quality"
-        )
+        return f"the process of {self.description} ended with code {code} ({lines[-1].strip()}); {_ADVICE}"
 
     def _stop(self) -> None:
+        """Let the process end, or kill it if it does not end in time."""
         if self._connection is not None:
             self._connection.close()
         if self._process is not None:
-            try:
+            with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(_END_SECONDS)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+        self._kill()
+
+    def _kill(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
         self._process = self._connection = None
 
     def close(self) -> None:
@@ -132,6 +166,7 @@ def _serve(connection: Connection[Any, Any]) -> None:
     model, size, samples = connection.recv()
     data = mujoco.MjData(model)
     renderer = FilamentRenderer(model, size, samples)
+    connection.send("ready")
 
     def background() -> Image:
         connection.send(None)
@@ -157,8 +192,16 @@ def _used_bytes() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
+def _end_with_parent(parent: int) -> None:
+    """End this process as soon as its parent has ended, even during an image: Filament releases the GIL."""
+    while os.getppid() == parent:
+        time.sleep(_PARENT_POLL_SECONDS)
+    os._exit(1)
+
+
 def main() -> None:
-    """Serve the connection with the number of the command line."""
+    """Serve the connection with the number of the command line, as long as the process given after it exists."""
+    threading.Thread(target=_end_with_parent, args=(int(sys.argv[2]),), daemon=True).start()
     try:
         _serve(Connection(int(sys.argv[1])))
     except (EOFError, ConnectionError, pickle.UnpicklingError):

@@ -50,7 +50,8 @@ class LightSample:
 def make_light_samples(number: int, lights: Sequence[int]) -> list[LightSample]:
     """Return `number` samples of the `lights` that cast shadows and of the sky, which gets every second one.
 
-    Lights beyond half the number have no shadows. Equal arguments give equal samples.
+    No sample names the lights beyond half the number, which are to shine without shadows in each rendering. Equal
+    arguments give equal samples.
     """
     sources = _sources(number, lights)
     shifts = np.array([[((k + 0.5) * step) % 1.0 for step in _R2] for k in range(number)])
