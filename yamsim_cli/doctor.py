@@ -22,8 +22,7 @@ from .core.scene.assets.asset_store import FileStatus
 from .cpu_limits import usable_cores, usable_memory
 from .filesystem_mounts import network_mount, read_mounts
 from .gl import INSTALL_GL, LINUX_BACKENDS, GlBackend, probe_backend
-from .photo_rendering.filament_context import require_filament
-from .photo_rendering.filament_process import MAX_BYTES
+from .photo_rendering.filament_context import MAX_BYTES, require_filament
 
 # Packages that every command needs.
 PACKAGES = ("mujoco", "mink", "daqp", "numpy", "opencv-python-headless", "pydantic", "pyyaml", "rich", "typer")

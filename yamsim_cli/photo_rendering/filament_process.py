@@ -26,13 +26,10 @@ import mujoco
 from ..core.closable import Closable
 from ..core.errors import ResourceError
 from ..core.images.image import Image
-from .filament_context import require_filament
+from .filament_context import MAX_BYTES, require_filament
 
-MAX_BYTES = 1_500_000_000  # of memory of the process, about 40 images, after which another one takes its place
 _END_SECONDS = 10  # s, for the end of a process that was told to end
-_ANSWER_SECONDS = (
-    600  # s, longest wait for the start and for an image, which take seconds; then the driver counts as hung
-)
+_ANSWER_SECONDS = 600  # s, longest wait for the start and for an image, after which the driver counts as hung
 _PARENT_POLL_SECONDS = 1.0  # s, between two looks whether the parent still exists
 _ADVICE = "run `yamsim doctor`, or take another --quality"
 # What an image depends on and attempts vary: fields of `MjModel`, of its headlight, and of `MjData`.
