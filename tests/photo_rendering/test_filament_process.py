@@ -117,3 +117,14 @@ def is_free(lock: Path) -> bool:
         except OSError:
             return False
     return True
+
+
+def test_memory_of_the_parent_does_not_count() -> None:
+    """Otherwise each image of a large process would start another process."""
+    size = 700_000_000
+    large = bytearray(size)
+    large[::4096] = b"1" * len(large[::4096])
+    program = "from yamsim_cli.photo_rendering.filament_process import _used_bytes; print(_used_bytes())"
+    child = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert 10_000_000 < int(child.stdout) < size
+    del large

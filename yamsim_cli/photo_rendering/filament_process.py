@@ -19,6 +19,7 @@ from collections.abc import Callable
 from importlib.metadata import version
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -185,8 +186,13 @@ def _serve(connection: Connection[Any, Any]) -> None:
 
 
 def _used_bytes() -> int:
-    # Linux counts in kB, macOS in bytes.
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    """Return the resident memory of this process; without /proc, as on macOS, the largest that it ever had."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # On Linux, the largest memory that `getrusage` gives begins with that of the parent.
+    return pages * resource.getpagesize()
 
 
 def _end_with_parent(parent: int) -> None:
