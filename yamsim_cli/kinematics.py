@@ -24,7 +24,7 @@ from .core.errors import UsageError, suggest_similar
 from .core.expert.planning.arm_kinematics import ArmKinematics, OutOfReachError, solve_ik_or_raise
 from .core.expert.planning.ik import IkSolver
 from .core.files.resources import Locations
-from .core.geometry.se3 import Array, invert_pose, pose
+from .core.geometry.se3 import Array, pose
 from .core.robots.joint_limits import describe_limit_violation
 from .core.scene.arm_model import kinematic_model
 
@@ -83,11 +83,8 @@ class Kinematics:
         self._forward = ArmKinematics(model)
         self._solvers = (IkSolver(model, np.eye(4), _ROTATION_COSTS), IkSolver(model, np.eye(4)))
         self._home = np.array(self._arm.robot.home)
-        T_pinch_in_base, T_site_in_base = (
-            self._forward.T_site_in_base(self._home, name) for name in ("pinch_site", site)
-        )
         for solver in self._solvers:
-            solver.set_held_object_frame(invert_pose(T_pinch_in_base) @ T_site_in_base)
+            solver.set_held_object_frame(self._forward.T_site_in_pinch(site))
 
     @property
     def T_base_in_world(self) -> Array:

@@ -16,10 +16,10 @@ pytest.importorskip("kitchenbench", reason="needs yamsim[inspect]")
 from inspect_robots import Action, Scene
 from inspect_robots.compat import check_compatibility
 from inspect_robots.conformance import assert_embodiment_conformant
-from inspect_robots.rollout import derive_seed
 from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint, make_success_checker
 
+from tests.kitchenbench.realizations import blueprint_of, seed_of
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_from_vector
 from yamsim_cli.kitchenbench.asset_configs import COMPARTMENT
@@ -48,15 +48,6 @@ def embodiment() -> Iterator[YamsimEmbodiment]:
     made = YamsimEmbodiment(images=False)
     yield made
     made.close()
-
-
-@pytest.fixture(scope="module")
-def base() -> Any:
-    return open_station_session("64x48", images=False)
-
-
-def seed_of(scene: Scene, epoch: int = 0) -> int:
-    return derive_seed(0, scene.init_seed, epoch)
 
 
 def test_the_embodiment_passes_the_conformance_check(embodiment: YamsimEmbodiment) -> None:
@@ -92,7 +83,7 @@ def test_a_kind_without_physics_is_refused() -> None:
     "name", [pytest.param(name, marks=[] if name in FIRST_OF_TASK else [pytest.mark.slow]) for name in SCENES]
 )
 def test_scenes_come_to_rest_and_answer_all_queries(name: str, base: Any) -> None:
-    blueprint = build_blueprint(SCENES[name], seed_of(SCENES[name]))
+    blueprint = blueprint_of(SCENES[name])
     realized = build_benchmark_scene(blueprint, base)
     try:
         if name not in APART:
@@ -131,9 +122,7 @@ def test_cutlery_on_a_wall_of_the_tray_lies_beside_it(embodiment: YamsimEmbodime
     """Spoons side by side from x = -20 cm on, of which one lies on the wall at x = 0: the earlier ones make room."""
     scene = SCENES["sort-cutlery-spoon-heavy"]
     embodiment.reset(scene, seed=seed_of(scene))
-    spoons = {
-        item.name: item.x_cm / 100 for item in build_blueprint(scene, seed_of(scene)).objects if item.asset == "spoon"
-    }
+    spoons = {item.name: item.x_cm / 100 for item in blueprint_of(scene).objects if item.asset == "spoon"}
     assert 0.0 in spoons.values()
     tray = embodiment.world.aabb("tray")
     for name, asked in spoons.items():
@@ -151,7 +140,7 @@ def test_things_lie_where_the_bench_has_them(embodiment: YamsimEmbodiment) -> No
     world = embodiment.world
     first, last = (np.mean(world.aabb(name), axis=0) for name in ("cup_1", "cup_2"))
     assert last[1] - first[1] == pytest.approx(-0.10, abs=0.002)
-    cup = build_blueprint(scene, seed_of(scene)).objects[0]
+    cup = blueprint_of(scene).objects[0]
     assert first[:2] == pytest.approx((AHEAD, BESIDE - cup.x_cm / 100), abs=0.002)
     low, high = world.aabb("cup_1")
     assert high - low == pytest.approx([0.09, 0.09, 0.10], abs=0.003)
@@ -167,7 +156,7 @@ def test_things_lie_where_the_bench_has_them(embodiment: YamsimEmbodiment) -> No
 def test_what_is_inside_is_counted_by_volume(base: Any) -> None:
     """A knife that the test places in a compartment, then half out of it."""
     scene = SCENES["sort-cutlery-sparse"]
-    realized = build_benchmark_scene(build_blueprint(scene, seed_of(scene)), base)
+    realized = build_benchmark_scene(blueprint_of(scene), base)
     motion = SceneStepper(realized, 10)
     world = KitchenWorld(realized, motion)
     low, high = world.aabb("compartment_knife")

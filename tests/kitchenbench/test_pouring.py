@@ -12,13 +12,12 @@ import pytest
 pytest.importorskip("inspect_robots", reason="needs yamsim[inspect]")
 pytest.importorskip("kitchenbench", reason="needs yamsim[inspect]")
 
-from inspect_robots.rollout import derive_seed
 from kitchenbench import tasks
-from kitchenbench.sim import build_blueprint
 
+from tests.kitchenbench.realizations import blueprint_of, seed_of
 from yamsim_cli.core.config.objects.primitives import Capsule
 from yamsim_cli.core.config.program_task import Role
-from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene, open_station_session
+from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene
 from yamsim_cli.kitchenbench.pasta import describe_coarse_pieces, fillings_of, pasta_config_of
 from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
 from yamsim_cli.kitchenbench.pour import Pour
@@ -31,19 +30,10 @@ SCENES = {scene.id: scene for scene in tasks.TASK_FACTORIES["pour_pasta"]().scen
 CUP, STRANDS = "pour-pasta-narrow-cup", "pour-pasta-long-spaghetti"
 
 
-@pytest.fixture(scope="module")
-def base() -> Any:
-    return open_station_session("64x48", images=False)
-
-
-def blueprint_of(name: str, epoch: int = 0) -> Any:
-    return build_blueprint(SCENES[name], derive_seed(0, SCENES[name].init_seed, epoch))
-
-
 @pytest.mark.parametrize("name", SCENES)
 def test_every_source_holds_its_pasta(name: str, base: Any) -> None:
     for epoch in range(2):
-        blueprint = blueprint_of(name, epoch)
+        blueprint = blueprint_of(SCENES[name], epoch)
         (filled, filling), *others = fillings_of(blueprint, base.locations).items()
         assert (filled, others) == ("source", [])
         assert filling.grams == blueprint.success_params["total_g"]
@@ -60,15 +50,15 @@ def test_every_source_holds_its_pasta(name: str, base: Any) -> None:
 
 def test_pieces_get_thicker_and_not_longer_where_they_would_be_too_many(base: Any) -> None:
     """Longer pieces would wedge themselves between the near walls of a carton."""
-    filling = fillings_of(blueprint_of("pour-pasta-full-box"), base.locations)["source"]
+    filling = fillings_of(blueprint_of(SCENES["pour-pasta-full-box"]), base.locations)["source"]
     (part,) = filling.of.collision
     assert isinstance(part, Capsule)
     assert np.linalg.norm(np.subtract(part.end, part.start)) + 2 * part.radius == pytest.approx(0.05, abs=1e-4)
     assert part.radius > 0.006
     assert piece_count(filling) == (44, pytest.approx(1.0, abs=0.01))
-    line = describe_coarse_pieces("source", filling, blueprint_of("pour-pasta-full-box"), base.locations)
+    line = describe_coarse_pieces("source", filling, blueprint_of(SCENES["pour-pasta-full-box"]), base.locations)
     assert line.startswith("dry_pasta: 427 g are 44 pieces 13.") and line.endswith("thick instead of 8.0 mm")
-    thin = blueprint_of(CUP)
+    thin = blueprint_of(SCENES[CUP])
     assert describe_coarse_pieces("source", fillings_of(thin, base.locations)["source"], thin, base.locations) == ""
 
 
@@ -85,7 +75,7 @@ def test_the_lip_is_just_so_high_that_the_source_clears_the_rim(angle: float) ->
 
 
 def test_loose_pieces_may_roll_while_a_scene_is_at_rest(base: Any) -> None:
-    realized = build_benchmark_scene(blueprint_of(CUP, 4), base)
+    realized = build_benchmark_scene(blueprint_of(SCENES[CUP], 4), base)
     try:
         scene, motion = realized.simulator.scene, SceneStepper(realized, 10)
         assert motion.is_at_rest()
@@ -101,7 +91,7 @@ def test_loose_pieces_may_roll_while_a_scene_is_at_rest(base: Any) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [CUP, STRANDS])
 def test_pasta_counts_by_piece_where_it_is(name: str, base: Any) -> None:
-    blueprint = blueprint_of(name)
+    blueprint = blueprint_of(SCENES[name])
     vessel, total = blueprint.roles["vessel"][0], blueprint.success_params["total_g"]
     realized = build_benchmark_scene(blueprint, base)
     try:
@@ -130,10 +120,10 @@ def test_pasta_counts_by_piece_where_it_is(name: str, base: Any) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "epoch"), [(STRANDS, 0), ("pour-pasta-measuring-cup-to-bowl", 2)])
 def test_the_expert_pours(name: str, epoch: int, base: Any) -> None:
-    blueprint = blueprint_of(name, epoch)
+    blueprint = blueprint_of(SCENES[name], epoch)
     source, vessel, total = "source", blueprint.roles["vessel"][0], blueprint.success_params["total_g"]
     realized = build_benchmark_scene(blueprint, base)
-    planning = PlanningScene(realized, int(derive_seed(0, SCENES[name].init_seed, epoch)), 10)
+    planning = PlanningScene(realized, int(seed_of(SCENES[name], epoch)), 10)
     try:
         judge = KitchenJudge(realized, planning.motion)
         planning.start_program([Pour(thing=source, into=vessel)], realized.simulator.roles)

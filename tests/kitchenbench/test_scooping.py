@@ -14,15 +14,14 @@ import pytest
 pytest.importorskip("inspect_robots", reason="needs yamsim[inspect]")
 pytest.importorskip("kitchenbench", reason="needs yamsim[inspect]")
 
-from inspect_robots.rollout import derive_seed
 from kitchenbench import tasks
-from kitchenbench.sim import build_blueprint
 
+from tests.kitchenbench.realizations import blueprint_of, seed_of
 from yamsim_cli.core.config.program_task import Role
 from yamsim_cli.core.expert.skills.planning_context import SkillFailedError
 from yamsim_cli.core.geometry.se3 import pose, rotation_z
 from yamsim_cli.kitchenbench import scoop
-from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene, open_station_session
+from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene
 from yamsim_cli.kitchenbench.object_poses import feasible_poses
 from yamsim_cli.kitchenbench.pasta import fillings_of, is_body, is_pile, pasta_config_of
 from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
@@ -36,19 +35,10 @@ SCENES = {scene.id: scene for scene in tasks.TASK_FACTORIES["scoop_pasta"]().sce
 LEVEL, SHALLOW, MIXED = "scoop-pasta-measuring-cup-level", "scoop-pasta-shallow-pile", "scoop-pasta-spoon-penne"
 
 
-@pytest.fixture(scope="module")
-def base() -> Any:
-    return open_station_session("64x48", images=False)
-
-
-def blueprint_of(name: str, epoch: int = 0) -> Any:
-    return build_blueprint(SCENES[name], derive_seed(0, SCENES[name].init_seed, epoch))
-
-
 @pytest.mark.parametrize("name", SCENES)
 def test_every_dish_holds_its_pile_and_more_than_is_asked_for(name: str, base: Any) -> None:
     for epoch in range(3):
-        blueprint = blueprint_of(name, epoch)
+        blueprint = blueprint_of(SCENES[name], epoch)
         ((filled, filling),) = fillings_of(blueprint, base.locations).items()
         assert filled == blueprint.roles["substance"][0]
         assert filling.grams > blueprint.success_params["target_g"] * 1.4
@@ -66,7 +56,7 @@ def test_every_dish_holds_its_pile_and_more_than_is_asked_for(name: str, base: A
 
 @pytest.mark.parametrize("epoch", [0, 1])
 def test_tool_and_container_stand_beside_the_dish(epoch: int, base: Any) -> None:
-    blueprint = blueprint_of(MIXED, epoch)
+    blueprint = blueprint_of(SCENES[MIXED], epoch)
     realized = build_benchmark_scene(blueprint, base)
     try:
         world = realized.new_episode().world
@@ -82,7 +72,7 @@ def test_tool_and_container_stand_beside_the_dish(epoch: int, base: Any) -> None
 
 @pytest.mark.parametrize(("name", "epoch", "is_spoon"), [(SHALLOW, 0, True), (LEVEL, 0, False)])
 def test_a_stroke_stays_between_the_walls_of_the_dish(name: str, epoch: int, is_spoon: bool, base: Any) -> None:
-    blueprint = blueprint_of(name, epoch)
+    blueprint = blueprint_of(SCENES[name], epoch)
     configs = {
         item.name: pasta_config_of(item, blueprint, base.locations) for item in blueprint.objects if is_body(item)
     }
@@ -101,7 +91,7 @@ def test_a_stroke_stays_between_the_walls_of_the_dish(name: str, epoch: int, is_
 
 
 def test_a_cup_tilts_towards_the_direction_of_the_grasp(base: Any) -> None:
-    blueprint = blueprint_of(LEVEL)
+    blueprint = blueprint_of(SCENES[LEVEL])
     item = next(one for one in blueprint.objects if one.name == "tool")
     config = pasta_config_of(item, blueprint, base.locations)
     tool = tool_of(config, pose((0.0, 0.0, 0.05), [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]))
@@ -121,7 +111,7 @@ def test_pieces_over_the_head_of_a_spoon_count_as_carried() -> None:
 def test_a_failed_line_has_a_worse_score_after_the_stroke_pushed_the_dish(
     base: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    blueprint = blueprint_of(SHALLOW)
+    blueprint = blueprint_of(SCENES[SHALLOW])
     configs = {
         item.name: pasta_config_of(item, blueprint, base.locations) for item in blueprint.objects if is_body(item)
     }
@@ -225,7 +215,7 @@ def test_a_step_is_free_in_one_posture_without_contact_on_the_way() -> None:
 
 @pytest.mark.slow
 def test_scooped_mass_counts_by_piece_and_too_much_is_no_success(base: Any) -> None:
-    blueprint = blueprint_of(LEVEL)
+    blueprint = blueprint_of(SCENES[LEVEL])
     target, tolerance = (float(blueprint.success_params[key]) for key in ("target_g", "tol_g"))
     realized = build_benchmark_scene(blueprint, base)
     try:
@@ -256,9 +246,9 @@ def test_scooped_mass_counts_by_piece_and_too_much_is_no_success(base: Any) -> N
 @pytest.mark.parametrize(("name", "epoch"), [(SHALLOW, 4), (MIXED, 1)])
 def test_the_expert_scoops(name: str, epoch: int, base: Any) -> None:
     """With a spoon, then with a measuring cup."""
-    blueprint = blueprint_of(name, epoch)
+    blueprint = blueprint_of(SCENES[name], epoch)
     realized = build_benchmark_scene(blueprint, base)
-    planning = PlanningScene(realized, int(derive_seed(0, SCENES[name].init_seed, epoch)), 10)
+    planning = PlanningScene(realized, int(seed_of(SCENES[name], epoch)), 10)
     try:
         judge = KitchenJudge(realized, planning.motion)
         assert run_expert(planning, judge, 120) <= 120

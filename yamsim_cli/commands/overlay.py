@@ -99,7 +99,7 @@ def overlay(
     if calibration:
         from yamsim_cli.calibration.calibration_file import load_placed_camera
 
-        placed = load_placed_camera(calibration, episode_camera, settings, where)
+        episode_camera, placed = load_placed_camera(calibration, episode_camera, settings, where)
     scene = load_config(SceneConfig, "scenes", "studio", where)
     quality = load_config(RenderConfig, "quality", "fast", where)
     session_opener.choose_gl_backend(where)
@@ -112,17 +112,17 @@ def overlay(
     from yamsim_cli.photos.overlay.photos import Photo, find_photos, recorded_photos
 
     photos = (
-        recorded_photos(episode, episode_camera or (placed[0] if placed else None), settings, placed and placed[1])
+        recorded_photos(episode, episode_camera, settings, placed)
         if episode
-        else [Photo(path, placed=placed and placed[1]) for path in find_photos(img or [])]
+        else [Photo(path, placed=placed) for path in find_photos(img or [])]
     )
     postures = load_postures(joints, settings) if joints else None
     if placed and postures:
-        postures = [placed[1].true_postures(one) for one in postures]
+        postures = [placed.true_postures(one) for one in postures]
     request = OverlayRequest(
         photo_jobs(photos[::every], out, postures=postures, write_masks=mask, mask_images=mask_image),
         out,
-        placed[1].camera if placed else model,
+        placed.camera if placed else model,
         trust_margin=trust_margin,
         refine=refine,
         opacity=opacity,

@@ -96,13 +96,14 @@ def _known_joints(motion: RecordedMotion) -> NDArray[np.bool_]:
     return known
 
 
-def _has_joints_before(photo: RecordedPhoto, delay: float) -> bool:
-    """Whether the joints are known next to the time `delay`, s, before that of a photo."""
-    motion = photo.gap.motion
-    after = int(np.searchsorted(motion.times, motion.times[photo.sample] - delay))
-    if after >= len(motion.times) or (after == 0 and motion.times[0] > motion.times[photo.sample] - delay):
-        return False
-    return bool(_known_joints(motion)[max(after - 1, 0) : after + 1].all())
+def _known_joints_before(motion: RecordedMotion, delay: float) -> NDArray[np.bool_]:
+    """Return a flag (samples,): whether the joints on both sides of the time `delay`, s, before a sample are known."""
+    seen = motion.times - delay
+    after = np.searchsorted(motion.times, seen).clip(max=len(seen) - 1)
+    known = _known_joints(motion)
+    within = (motion.times[0] <= seen) & (seen <= motion.times[-1])
+    flags: NDArray[np.bool_] = within & known[after] & known[np.maximum(after - 1, 0)]
+    return flags
 
 
 def calibrated_postures(motion: RecordedMotion, sample: int, rig: RigConfig, placed: PlacedCamera) -> ArmPostures:
@@ -204,7 +205,8 @@ def compare_photos(
     camera, taken = photos_in_parts(gaps, request.name)
     if request.placed is not None:
         delay = request.placed.delay
-        taken = [photo for photo in taken if _has_joints_before(photo, delay)]
+        is_known = {gap.name: _known_joints_before(gap.motion, delay) for gap in gaps}
+        taken = [photo for photo in taken if is_known[photo.gap.name][photo.sample]]
         if not taken:
             raise UsageError(f"--calibration: no joints are known {1000 * delay:.0f} ms before any photo, its delay")
     chosen = select_photos(taken, request.max_photos)

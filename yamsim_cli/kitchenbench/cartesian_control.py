@@ -11,7 +11,7 @@ from inspect_robots import ActionSemantics, Box
 from ..core.config.rig import ArmConfig
 from ..core.expert.planning.arm_kinematics import ArmKinematics
 from ..core.expert.planning.ik import IkSolver
-from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_z
+from ..core.geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from ..core.scene.arm_model import kinematic_model
 from .scene_stepper import ACTION_DIM, ARM_JOINTS, MIN_CLOSING_S
 
@@ -40,10 +40,7 @@ class CartesianArm:
     def __init__(self, arm: ArmConfig) -> None:
         model = kinematic_model(arm)
         self._forward, self._solver = ArmKinematics(model), IkSolver(model, np.eye(4))
-        T_pinch_in_base, T_grasp_in_base = (
-            self._forward.T_site_in_base(arm.robot.home, name) for name in ("pinch_site", "grasp_site")
-        )
-        self._solver.set_held_object_frame(invert_pose(T_pinch_in_base) @ T_grasp_in_base)
+        self._solver.set_held_object_frame(self._forward.T_site_in_pinch("grasp_site"))
         self.start_at(arm.robot.home)
 
     def start_at(self, joints: Sequence[float] | Array) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...errors import SimulationError
-from ...geometry.se3 import Array, pose, rotation_vector
+from ...geometry.se3 import Array, invert_pose, pose, rotation_vector
 from .analytic_ik import HAND_LENGTH
 from .ik import IkSolver
 
@@ -33,6 +33,11 @@ class ArmKinematics:
         mujoco.mj_kinematics(self._model, self._data)
         site = self._data.site(name)
         return pose(site.xpos, site.xmat.reshape(3, 3))
+
+    def T_site_in_pinch(self, name: str) -> Array:
+        """Return the pose of a site of the hand in the frame of `pinch_site`, which no joint changes."""
+        joints = np.zeros(self._model.nq)
+        return invert_pose(self.T_site_in_base(joints, "pinch_site")) @ self.T_site_in_base(joints, name)
 
 
 @dataclass(frozen=True)
