@@ -68,6 +68,7 @@ NOT_RUN = {
     r"^yamsim calibrate\b": "it needs larger pictures; tests/cli/test_calibrate_command.py has them",
     r"^yamsim export calibration\b": "it needs a calibration; tests/calibration/test_export_formats.py has one",
     r"^yamsim match\b|matched.yaml": "it needs photos of a station; tests/match/test_match.py renders some",
+    r"--quality photo\b": "it takes minutes without a GPU; tests/photo_rendering/test_filament.py records with it",
     r"^yamsim identify log": "it takes minutes and a log of one; tests/real/identify has some",
     r"--robot my_arm": "it is of an arm that was measured; tests/core/robots/test_dynamics.py has one",
     r"^ray start\b": "it starts a cluster on this machine; test_ray_cluster.py has one",
