@@ -63,7 +63,8 @@ def gap(
         str | None, typer.Option(help="Camera whose photos are compared.  [default: the fixed camera]")
     ] = None,
     fail_above: Annotated[
-        float | None, typer.Option(min=0, metavar="MRAD", help="Exit 5 if a joint's RMS error is above this.")
+        float | None,
+        typer.Option(min=0, metavar="MRAD", help="Exit code 5 if a joint's RMS error is above this value."),
     ] = None,
     html: Annotated[Path | None, typer.Option(help="Also write a page with curves and pictures.")] = None,
     overwrite: Overwrite = False,

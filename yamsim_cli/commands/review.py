@@ -28,7 +28,7 @@ def review(
             metavar="DATASET", help="A dataset; with --diff two, with --merge two selections.", show_default=False
         ),
     ],
-    diff: Annotated[bool, typer.Option("--diff", help="Say in which values two datasets differ.")] = False,
+    diff: Annotated[bool, typer.Option("--diff", help="Report the values in which two datasets differ.")] = False,
     merge: Annotated[bool, typer.Option("--merge", help="Merge the selections of two reviewers into --out.")] = False,
     out: Annotated[
         Path | None,
@@ -57,7 +57,7 @@ def review(
     ] = None,
     port: Annotated[
         int | None,
-        typer.Option(min=0, max=65535, help=f"Port of the page, {_DEFAULT_PORT} unless given; 0 takes a free one."),
+        typer.Option(min=0, max=65535, help=f"Port of the page, by default {_DEFAULT_PORT}; 0 selects a free port."),
     ] = None,
     overwrite: Overwrite = False,
     json: Json = False,

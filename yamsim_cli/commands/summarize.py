@@ -24,7 +24,7 @@ def summarize(
     overwrite: Overwrite = False,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 4 for warnings too.")] = False,
     workers: Annotated[
-        int | None, typer.Option(min=1, max=1024, help="Processes that read.  [default: one a core]")
+        int | None, typer.Option(min=1, max=1024, help="Number of processes that read files.  [default: one a core]")
     ] = None,
     json: Json = False,
 ) -> None:
