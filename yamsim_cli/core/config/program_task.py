@@ -66,7 +66,7 @@ class Filling(Config):
 class Role(Config):
     """The objects of a role, each sampled from a list of object configs.
 
-    A config is sampled again only after all others: a count as long as the list uses each config once, in random order.
+    A config is sampled again only after all others: with a `count` equal to the list's length, each is used once.
 
     Attributes:
         of: the object configs to sample from.
