@@ -258,7 +258,7 @@ def check_robot(name: str, locations: Locations) -> list[dict[str, Any]]:
             raise fault
     found = [_check_arm_with_gripper(arm, gripper, locations) for gripper in grippers]
     if all(one["ok"] is None for one in found):
-        # A fault of the arm is the same with most grippers; a gripper without a wrist camera is a fault of its own.
+        # A fault of the arm is the same with most grippers; a gripper without a wrist camera is a separate fault.
         details = [one["detail"] for one in found]
         fault_text = max(details, key=details.count)
         raise ConfigError(f"{arm.mjcf.file}: no gripper makes a rig with {arm.name!r}: {fault_text}")

@@ -96,7 +96,7 @@ class BottlesExpert:
     def _plan(self, arm: int, T_bottle: Array, turn: float, T_bin: Array) -> Iterator[Waypoint]:
         """Yield the waypoints of an arm to a bottle, the bin and its home posture. Raise OutOfReachError.
 
-        `turn`, rad, is that of the hand about its approach: 0 for cap first into the bin, pi for foot first.
+        `turn`, rad, is the turn of the hand about its approach: 0 for cap first into the bin, pi for foot first.
         """
         home = self._home[arm, :6]
         T_grasp = grasp_pose(T_bottle)

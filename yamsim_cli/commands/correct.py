@@ -14,7 +14,7 @@ from yamsim_cli.flags.session_options import session_opener, session_settings
 from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
 from yamsim_cli.terminal.signals import stop_on_signal
 
-_STOPPING_NOTE = "Stopping once the trials in progress are done. Another signal stops at once; --resume continues."
+_STOPPING_NOTE = "Stopping once the trials in progress are done. Another signal stops immediately; --resume continues."
 
 
 def correct(

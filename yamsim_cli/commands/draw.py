@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from yamsim_cli.recording.draw_config import DrawChanges
     from yamsim_cli.recording.recorder import RecordReport
 
-_STOPPING_NOTE = "Stopping once the episodes in progress are drawn. Another signal stops at once; --resume continues."
+_STOPPING_NOTE = "Stopping once the current episodes are drawn. Another signal stops immediately; --resume continues."
 _MAX_LOOKS = 99  # datasets of one command; more would be a mistake in the number
 
 

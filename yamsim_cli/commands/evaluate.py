@@ -156,7 +156,7 @@ def evaluate(
 def _evaluate_abc(
     choice: PolicyChoice, others: list[str], settings: dict[str, Any], given: dict[str, Any]
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Evaluate a policy in ABC's own scene. `given` has the command's parameters, `settings` those of sessions."""
+    """Evaluate a policy in ABC's own scene. `given` are the command's parameters, `settings` the session's."""
     from yamsim_cli.abc_evaluation.evaluation import (
         DEFAULT_SEED,
         DEFAULT_SIZE,

@@ -154,7 +154,7 @@ def _choose_rig(
     recording: Path,
     locations: Locations,
 ) -> RigConfig:
-    """Return the named rig, or else that of the recording's dataset, or else `single`."""
+    """Return the named rig, or else the rig of the recording's dataset, or else `single`."""
     from yamsim_cli.core.dataset.dataset_paths import CONFIG_FILE
     from yamsim_cli.core.dataset.imported_records import is_imported_dataset, read_imported_config
     from yamsim_cli.core.dataset.reader import read_recording_config

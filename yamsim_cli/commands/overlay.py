@@ -153,7 +153,7 @@ def overlay(
 def _choose_rig(
     name: str | None, revision: str | None, recordings: Sequence[Path], margin: float | None, locations: Locations
 ) -> RigConfig:
-    """Return the named rig, or else that of the recordings' dataset, or else `single`."""
+    """Return the named rig, or else the rig of the recordings' dataset, or else `single`."""
     from yamsim_cli.core.dataset.dataset_paths import CONFIG_FILE
     from yamsim_cli.core.dataset.reader import read_recorded_rig
 

@@ -105,7 +105,7 @@ def _require_dataset(path: Path) -> None:
     try:
         found = detect_format(path)
     except YamsimError:
-        return  # the reader of datasets says what is wrong
+        return  # the reader of datasets reports the fault
     raise DatasetError(
         f"{path} is a recording ({found}) without hashes, so decisions on it could not be kept; import it with "
         f"`yamsim import {path} --rig RIG --out DIR`, and review DIR"
@@ -115,7 +115,7 @@ def _require_dataset(path: Path) -> None:
 def _read_rows(
     dataset: Path, more: dict[int, dict[str, Any]], rig: RigConfig | None, motion: bool
 ) -> list[dict[str, Any]]:
-    """Return the rows of a dataset with `more` values and, with `motion`, those of all frames."""
+    """Return the rows of a dataset with `more` values and, with `motion`, the values of all frames."""
     from yamsim_cli.core.dataset.dataset_paths import episode_directories
     from yamsim_cli.review.episode_index import read_rows
     from yamsim_cli.review.episode_motion import MOTION_CACHE, read_motion

@@ -30,7 +30,7 @@ def summarize(
 ) -> None:
     """Check all files of a dataset, and report statistics and problems. Exit code 4 for errors; warnings need --strict.
 
-    With --selection, figures and problems are those of the kept episodes, whole also where they are trimmed.
+    With --selection, figures and problems are for the kept episodes. Trimmed episodes count as a whole.
 
     Example: yamsim summarize dataset/ --threshold 0.03 --html report.html
     """

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from yamsim_cli.viewers.teleop.teleop_session import TeleopReport
 
 _STOP_SIGNAL_NOTE = (
-    "Ending once recorded attempts are judged and rendered. Another signal ends at once; whole episodes are safe."
+    "Ending once recorded attempts are judged and rendered. Another signal ends immediately; whole episodes are safe."
 )
 
 
