@@ -1,7 +1,7 @@
 """Renders cameras with the lens, shutter and sensor of their config `CameraEffects`.
 
-A distorted image is remapped from a wider image of an ideal camera at the same pose. Depth and segmentation take the
-same way, and `LensIntrinsics` projects points, so ground truth fits the images.
+A distorted image is remapped from a wider image of an ideal camera at the same pose. Depth and segmentation are
+remapped in the same way, and `LensIntrinsics` projects points, so ground truth fits the images.
 
 A camera with a plate shows a photo in place of the surroundings, see `scene_photos`. Rendered arms and objects occlude
 the photo, and their shadows darken it.

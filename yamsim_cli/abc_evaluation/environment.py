@@ -1,7 +1,7 @@
 """Physics, images and success of `put_bottles` on MuJoCo's CPU engine.
 
-The constants are from amazon-far/abc e5e1fbc, `abc_minimal/config.py`. Steps and verdicts are those of its environment
-with `--vanilla-physics`.
+The constants are from amazon-far/abc e5e1fbc, `abc_minimal/config.py`. Steps and verdicts are the same as in its
+environment with `--vanilla-physics`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Scripted expert of `put_bottles`: one arm at a time grasps a bottle from above and drops it into the bin, cap first.
 
-Cap first, because ABC judges by a bottle's origin, its foot, and a foot on the bin's floor is below the heights that
-count as in the bin.
+Cap first, because ABC judges by a bottle's origin, which is at its foot. On the bin's floor, a foot is below the
+heights that count.
 """
 
 from __future__ import annotations

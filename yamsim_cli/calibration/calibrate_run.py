@@ -70,7 +70,7 @@ class CalibrationRequest:
 
 @dataclass(frozen=True)
 class CameraOutcome:
-    """What the pictures of a camera gave.
+    """Result of the pictures of a camera.
 
     Attributes:
         refusal: why its pose is not certain, with a remedy; None for a certain pose.

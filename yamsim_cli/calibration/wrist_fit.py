@@ -87,7 +87,7 @@ class _MeanPicture:
 
 @dataclass(frozen=True)
 class WristOutcome:
-    """What the pictures of a wrist camera gave: a fit, and why it is refused, or None for a certain pose."""
+    """Result of the pictures of a wrist camera: a fit, and why it is refused, or None for a certain pose."""
 
     name: str
     model: CameraModel

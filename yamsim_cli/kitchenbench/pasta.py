@@ -1,4 +1,4 @@
-"""Pasta in KitchenBench's scenes of pouring and scooping: what holds it, its pieces, and how coarse they are.
+"""Pasta in KitchenBench's scenes of pouring and scooping: its container, its pieces and their sizes.
 
 A scene of pouring names the object that is full of pasta, and gives the mass. A scene of scooping names only a pile,
 and the pile's object is then a dish with pasta in it.
