@@ -103,7 +103,7 @@ def configs_page() -> str:
     parts = [
         _MADE,
         "# Configs\n\n",
-        "A config is a YAML file in `configs/KIND/`, or one of yours. Keys with a unit in their name are in that unit; "
+        "A config is a YAML file in `configs/KIND/`, or your own. Keys with a unit in their name are in that unit; "
         "all others are in metres, radians, seconds and newtons. `yamsim config schema KIND` prints the JSON schema.\n",
     ]
     for kind, model in CONFIG_KINDS.items():

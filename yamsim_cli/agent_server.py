@@ -1,6 +1,6 @@
 """Commands of yamsim as tools of the Model Context Protocol, for coding agents.
 
-Each tool runs one command with `--json` in a process of its own. The tools read datasets below one folder, change
+Each tool runs one command with `--json` in a separate process. The tools read datasets below one folder, change
 nothing, and are bounded in time, size and number.
 """
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 MAX_TRIALS = 200  # of a call: about a minute of two cores
 MAX_EPISODES = 20  # that a call of verify reproduces
-_MAX_ANSWER_BYTES = 200_000  # of a command's JSON: what an agent can read at once
+_MAX_ANSWER_BYTES = 200_000  # of a command's JSON: the length that an agent can read in one answer
 _MAX_VIEW_PX = 960  # width of a rendered view: some 300 kB of PNG
 _MAX_ERROR_CHARS = 2000  # of what a failed command wrote
 

@@ -1,7 +1,7 @@
 """yamsim's commands as Python functions.
 
-Errors are subclasses of `yamsim_cli.core.errors.YamsimError`. Their messages are those of the command line, but name
-keywords instead of flags.
+Errors are subclasses of `yamsim_cli.core.errors.YamsimError`. Their messages are the same as on the command line, but
+name keywords instead of flags.
 """
 
 from __future__ import annotations

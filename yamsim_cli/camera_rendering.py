@@ -1,7 +1,7 @@
 """Renders cameras with the lens, shutter and sensor of their config `CameraEffects`.
 
-A distorted image is remapped from a wider image of an ideal camera at the same pose. Depth and segmentation take the
-same way, and `LensIntrinsics` projects points, so ground truth fits the images.
+A distorted image is remapped from a wider image of an ideal camera at the same pose. Depth and segmentation are
+remapped in the same way, and `LensIntrinsics` projects points, so ground truth fits the images.
 
 A camera with a plate shows a photo in place of the surroundings, see `scene_photos`. Rendered arms and objects occlude
 the photo, and their shadows darken it.
@@ -65,7 +65,7 @@ class LensIntrinsics(Intrinsics):
         return cls(ideal.width, ideal.height, fx, fy, cx, cy, model)
 
     def project(self, points_in_cam: ArrayLike) -> Array:
-        """See `Intrinsics.project`. A point too far off the axis for the lens model lies where the pinhole has it."""
+        """See `Intrinsics.project`. A point too far off the axis for the lens model is projected as by the pinhole."""
         points = np.atleast_2d(np.asarray(points_in_cam, dtype=np.float64))
         pixels, rays = project_points(self.model, points), points[:, :2] / points[:, 2:]
         # Far outside the image, the polynomials of a lens fold back into the image.
@@ -139,7 +139,7 @@ class QualityRenderer(SceneRenderer):
 class EffectsRenderer(QualityRenderer):
     """Renders cameras through their lenses and before their plates; other cameras as `QualityRenderer`.
 
-    Each camera with a lens has a renderer of its own for the ideal image, in a size that its first lens determines.
+    Each camera with a lens has its own renderer for the ideal image, in a size that its first lens determines.
     """
 
     def __init__(
@@ -230,7 +230,7 @@ class EffectsRenderer(QualityRenderer):
 
     @contextlib.contextmanager
     def _wide_view(self, camera: str) -> Iterator[tuple[SceneRenderer, LensWarp]]:
-        """Give the model the ideal camera's field of view, which contains that of the lens."""
+        """Give the model the ideal camera's field of view, which contains the lens's field of view."""
         lens = self.intrinsics(camera)
         assert isinstance(lens, LensIntrinsics)
         known = self._wide.get(camera)
@@ -317,7 +317,7 @@ class _Surroundings(Closable):
 
 
 def require_fixed_plates(config: RecordConfig) -> None:
-    """Raise UsageError if a camera with a plate would move away from its photo, or has a lens of its own."""
+    """Raise UsageError if a camera with a plate would move away from its photo, or has its own lens."""
     ranges = config.randomization
     for plate in config.scene.plates:
         effects = config.effects_of(plate.camera)

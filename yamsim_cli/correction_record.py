@@ -14,7 +14,7 @@ Actor = Literal["expert", "policy"]
 
 @dataclass(frozen=True)
 class CorrectionRecord:
-    """How an episode of `yamsim correct` came about, in `episode.json`.
+    """Origin of an episode of `yamsim correct`, in `episode.json`.
 
     Attributes:
         policy: the policy as given to `--policy`.

@@ -18,7 +18,7 @@ from .core.scene.random_streams import Stream, random_generator
 from .core.sim.sim_world import SimWorld
 from .disturbances.config import DisturbanceConfig, PushSample
 
-MIN_NOTICED_MOTION = 0.01  # m, motion of a pushed object from which on the expert plans again; grasps bear less
+MIN_NOTICED_MOTION = 0.01  # m, motion of a pushed object from which on the expert plans again; grasps hold less
 
 Segment = TypeVar("Segment")
 

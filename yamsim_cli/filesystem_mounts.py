@@ -45,7 +45,7 @@ class Mount:
 
     @property
     def is_network(self) -> bool:
-        """Whether the files are, or may be, on another machine. For FUSE and automounters, the table does not say."""
+        """Whether the files are, or may be, on another machine. For FUSE and automounters, this is unknown."""
         return bool(_NETWORK_FILESYSTEMS.fullmatch(self.kind)) or (
             self.kind.startswith("fuse.") and not _LOCAL_FUSE_FILESYSTEMS.fullmatch(self.kind)
         )

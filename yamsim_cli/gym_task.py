@@ -25,7 +25,7 @@ Observation = dict[str, NDArray[Any]]
 
 
 class StepResult(NamedTuple):
-    """What a control tick earned: reward, whether the episode terminated or was truncated, and the info."""
+    """Result of a control tick: reward, whether the episode terminated or was truncated, and the info."""
 
     reward: float
     terminated: bool

@@ -4,7 +4,7 @@ from typing import Any
 
 from .core.errors import ResourceError, UsageError
 
-ABC_TASK = "abc/put_bottles"  # task of ABC's simulated evaluation, in a scene of its own
+ABC_TASK = "abc/put_bottles"  # task of ABC's simulated evaluation, in its own scene
 _PREFIX = "kitchenbench/"
 
 

@@ -166,7 +166,7 @@ def _places(room: _Room, axis: int, length: float, radius: float, shifted: bool)
     Args:
         length, radius: of a piece with its round ends, m.
         shifted: whether the first layer's rows, instead of the second's, are half a spacing beside the middle; of
-            vertical pieces, those of every layer.
+            vertical pieces, the rows of every layer.
     """
     tall, step = (length, length + _GAP) if axis == 2 else (2 * radius, _LAYER_HEIGHT * radius)
     low = float(room.heights[0]) + _GAP

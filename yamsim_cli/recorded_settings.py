@@ -1,4 +1,4 @@
-"""Settings of a recording on which a policy that was trained on it depends."""
+"""Settings of a recording that affect the policies trained on it."""
 
 from __future__ import annotations
 

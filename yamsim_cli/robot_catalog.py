@@ -27,14 +27,14 @@ _HOLD_TEST_SECONDS = 1.0  # s, for which the arm holds its home posture: the dri
 _MAX_SAG = 0.1  # rad, deviation of a joint after `_HOLD_TEST_SECONDS`; a weak drive exceeds it
 
 _YAML_TEMPLATE = """\
-# The arm {name}: check it with `yamsim robots check {name}`; `--rig {name}+linear_4310` then means it in every command.
+# The arm {name}. To check it: `yamsim robots check {name}`. To use it in any command: `--rig {name}+linear_4310`.
 mjcf: arm.xml
-source: a skeleton, its figures are invented   # where your figures are from
+source: a skeleton, its figures are invented   # the source of your figures
 base: base_link     # the body in arm.xml whose frame is the arm's base frame
 flange: flange      # the last body; a gripper becomes part of it
 
-# From the base to the flange: stops, rad; the motor's no-load speed at the joint, revolutions a minute; and the fastest
-# motion that the drive reports, rad/s. The names are those of joints, and of their drives, in arm.xml.
+# Joints from the base to the flange: joint limits, rad; the motor's no-load speed at the joint, revolutions a minute;
+# and the largest speed that the drive can report, rad/s. Joints and drives have these names in arm.xml.
 joints:
 - {{name: joint1, range: [-3.0, 3.0], motor_rpm: 52.5, reported_rad_s: 10}}
 - {{name: joint2, range: [-1.8, 1.8], motor_rpm: 52.5, reported_rad_s: 10}}
@@ -42,10 +42,10 @@ joints:
 - {{name: joint4, range: [-0.5, 3.0], motor_rpm: 200, reported_rad_s: 30}}
 - {{name: joint5, range: [-1.5, 1.5], motor_rpm: 200, reported_rad_s: 30}}
 - {{name: joint6, range: [-3.1, 3.1], motor_rpm: 200, reported_rad_s: 30}}
-home: [0, -0.4, 2.0, 1.5, 0, 0]      # at rest, rad
-start: [0, 0.3, 1.29, 1.55, 0, 0]    # where tasks start, rad
+home: [0, -0.4, 2.0, 1.5, 0, 0]      # joint positions of the idle arm, rad
+start: [0, 0.3, 1.29, 1.55, 0, 0]    # joint positions at the start of tasks, rad
 
-# Gripper -> how it sits on the flange: `mount: {{position: [x, y, z], quat: [w, x, y, z]}}`, m.
+# Gripper -> how it is mounted on the flange: `mount: {{position: [x, y, z], quat: [w, x, y, z]}}`, m.
 grippers:
   linear_4310: {{}}
 """
@@ -58,9 +58,9 @@ _XML_TEMPLATE = """\
   <default>
     <default class="{name}">
       <joint axis="0 1 0" armature="0.02" frictionloss="0.1"/>
-      <!-- kp in N m/rad, kv in N m s/rad, torques in N m; the range is that of the joint. -->
+      <!-- kp in N m/rad, kv in N m s/rad, torques in N m; the range is the joint's. -->
       <position inheritrange="1" kp="80" kv="5" forcerange="-28 28"/>
-      <!-- What collides; its masses are in the <inertial> of each body. -->
+      <!-- Collision geometry; masses are in the <inertial> of each body. -->
       <geom type="capsule" size="0.025" group="3" mass="0" rgba="0.5 0.5 0.5 1"/>
     </default>
   </default>
@@ -68,7 +68,7 @@ _XML_TEMPLATE = """\
     <body name="base_link" childclass="{name}">
       <inertial mass="1" pos="0 0 0.02" diaginertia="0.002 0.002 0.002"/>
       <geom type="cylinder" size="0.05 0.02" pos="0 0 0.02"/>
-      <!-- gravcomp="1": the drives make up for the body's weight. -->
+      <!-- gravcomp="1": the drives compensate for the body's weight. -->
       <body name="link1" pos="0 0 0.06" gravcomp="1">
         <inertial mass="0.3" pos="0 0 0.02" diaginertia="0.0002 0.0002 0.0002"/>
         <joint name="joint1" axis="0 0 1"/>
@@ -258,7 +258,7 @@ def check_robot(name: str, locations: Locations) -> list[dict[str, Any]]:
             raise fault
     found = [_check_arm_with_gripper(arm, gripper, locations) for gripper in grippers]
     if all(one["ok"] is None for one in found):
-        # A fault of the arm is the same with most grippers; a gripper without a wrist camera is a fault of its own.
+        # A fault of the arm is the same with most grippers; a gripper without a wrist camera is a separate fault.
         details = [one["detail"] for one in found]
         fault_text = max(details, key=details.count)
         raise ConfigError(f"{arm.mjcf.file}: no gripper makes a rig with {arm.name!r}: {fault_text}")

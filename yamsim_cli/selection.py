@@ -61,7 +61,7 @@ class EpisodeDecision(BaseModel):
     Attributes:
         episode: number of the episode.
         sha256: hash of the episode's `episode.json` when a person decided.
-        first_frame, last_frame: recorded frames at which the kept part begins and ends; None for those of the episode.
+        first_frame, last_frame: recorded frames at which the kept part begins and ends; None if not trimmed there.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -88,7 +88,7 @@ class EpisodeDecision(BaseModel):
 
     @property
     def is_empty(self) -> bool:
-        """Whether the line says nothing."""
+        """Whether the line contains no decision, tag, note or trim."""
         return self.decision == "undecided" and not (self.is_trimmed or self.tags or self.note)
 
     def to_line(self) -> str:

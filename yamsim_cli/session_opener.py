@@ -72,7 +72,7 @@ class SessionOpener:
     Attributes:
         environ: MuJoCo reads its OpenGL backend from these variables at its import.
         setting_label: name of a setting -> flag or keyword in messages.
-        resolve_object: converts the name of an object to that of its config; imports files of other formats.
+        resolve_object: converts the name of an object to the name of its config; imports files of other formats.
         resolve_task: converts the name of a task to a name, or to a config as plain data.
         notify_at_end: shows a sentence when the command ends.
     """

@@ -1,4 +1,4 @@
-"""Trials: many simulated attempts at a task, counted and filmed."""
+"""Trials: many simulated attempts at a task, with counts and videos."""
 
 from __future__ import annotations
 

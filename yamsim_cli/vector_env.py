@@ -36,7 +36,7 @@ class _Environment:
 class PickPlaceVectorEnv(VectorEnv[_Observations, NDArray[np.float32], NDArray[Any]]):
     """Environments as `PickPlaceEnv`, stepped together: `gymnasium.make_vec("yamsim/PickPlace-v0", num_envs=64)`.
 
-    Observations, rewards, ends and infos are those of gymnasium's `SyncVectorEnv` of the same environments, bit for
+    Observations, rewards, ends and infos equal those of gymnasium's `SyncVectorEnv` with the same environments, bit for
     bit, with any number of threads. The same engine judges each environment's episode.
 
     `reset(seed=S)` starts trial 0 of seed S + k in environment k; `seed` may be a sequence, with a seed or None for
@@ -93,7 +93,7 @@ class PickPlaceVectorEnv(VectorEnv[_Observations, NDArray[np.float32], NDArray[A
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[_Observations, _Infos]:
-        """Start trials in all environments, or in those of `reset_mask`. Return observations and infos."""
+        """Start trials in all environments, or in the environments of `reset_mask`. Return observations and infos."""
         seeds = self._seeds(seed)
         super().reset(seed=seed if isinstance(seed, int) else None)
         chosen = self._reset_mask(options)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from av.video.codeccontext import VideoCodecContext
 
 # Adaptive quantisation and rate control calculate with floating-point numbers; a constant quantiser needs neither.
-# `ipratio` is the step of other frames, relative to that of key frames.
+# `ipratio` is the step of other frames, relative to the step of key frames.
 _X264 = "ipratio=1:aq-mode=0:mbtree=0:scenecut=0"
 _ENCODER_OPTIONS = {"preset": "veryfast", "tune": "zerolatency", "x264-params": _X264}
 _PERIOD = Fraction(1, 30)  # s, which the encoder requires; it has no effect with a constant quantizer

@@ -95,7 +95,7 @@ ROWS: dict[str, ClientRow] = {
     "chiral": ClientRow(
         client="TRI's chiral, from its repository",
         distribution="chiral",
-        opens="`serve-robot --chiral`: chiral's client homes both arms, drives them by joints and poses, gets images",
+        opens="`serve-robot --chiral`: chiral's client moves both arms by joints and poses, and gets images",
         environment=Environment("chiral"),
         heavy=True,
         checkout="YAMSIM_CHIRAL",
@@ -125,7 +125,7 @@ ROWS: dict[str, ClientRow] = {
     "lerobot-eval": ClientRow(
         "LeRobot 0.6: lerobot-eval",
         "lerobot",
-        "`lerobot_env_yamsim`: a policy that plays the expert succeeds in each trial, also several at once; a policy "
+        "`lerobot_env_yamsim`: a policy that replays the expert succeeds in all trials, also in parallel; a policy "
         "trained by LeRobot runs, and its trials are recorded",
         Environment("lerobot", "3.12"),
         heavy=True,
@@ -140,7 +140,7 @@ ROWS: dict[str, ClientRow] = {
     "lerobot-writes": ClientRow(
         "LeRobot 0.6: its own writer",
         "lerobot",
-        "`import`: datasets of `LeRobotDataset.create`, with films in AV1 or with images; its loader reads their "
+        "`import`: datasets of `LeRobotDataset.create`, with videos in AV1 or with images; its loader reads their "
         "`export lerobot`",
         Environment("lerobot", "3.12"),
         heavy=True,
@@ -156,7 +156,7 @@ ROWS: dict[str, ClientRow] = {
     "mcap": ClientRow(
         "mcap, foxglove-schemas-protobuf",
         "mcap",
-        "`import`: files of their writers with the topics of ABC-130k, films in H.264 and H.265",
+        "`import`: files of their writers with the topics of ABC-130k, videos in H.264 and H.265",
         Environment("mcap"),
     ),
     "maker": ClientRow(
@@ -187,8 +187,8 @@ ROWS: dict[str, ClientRow] = {
         client="the maker's yam-abc-gui and yam-abc-deploy, from its repository",
         distribution="yam-abc-reproduce",
         opens="`serve-robot --cameras --leader`: the GUI finds cameras, arms and leaders, and collects the episode "
-        "that the leaders perform; a policy server drives both arms, also with real-time chunking; what both report "
-        "of a server that dies, a lost motor, lost frames and a camera that stops; its own tests pass",
+        "that the leaders perform; a policy server drives both arms, also with real-time chunking; the reports of both "
+        "of a server that ends, a lost motor, lost frames and a camera that stops; its own tests pass",
         environment=Environment("maker-station", "3.12"),
         checkout="YAMSIM_MAKER",
     ),

@@ -48,7 +48,7 @@ def test_what_it_shows_has_the_form_of_what_comes(folder: Path) -> None:
 
 def test_its_mistake_is_told_as_it_says(folder: Path) -> None:
     mistake, instead = "self.arm.ik(T_pinch[:3], joints)", "self.arm.ik(T_pinch, joints, rotation_tolerance=0.6)"
-    assert f"Write `{mistake}`" in TEXT
+    assert f"write `{mistake}`" in TEXT
     assert instead in POLICY
     (folder / "first_policy.py").write_text(POLICY.replace(instead, mistake))
     run = yamsim("eval", "--policy", "first_policy.py", "--n", "1", "--workers", "1", cwd=folder)

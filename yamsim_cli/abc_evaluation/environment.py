@@ -1,7 +1,7 @@
 """Physics, images and success of `put_bottles` on MuJoCo's CPU engine.
 
-The constants are from amazon-far/abc e5e1fbc, `abc_minimal/config.py`. Steps and verdicts are those of its environment
-with `--vanilla-physics`.
+The constants are from amazon-far/abc e5e1fbc, `abc_minimal/config.py`. Steps and verdicts are the same as in its
+environment with `--vanilla-physics`.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class PutBottles(Closable):
         model, data: MuJoCo's model and state.
         start: sampled sizes and poses.
         actions: number of executed actions.
-        most_in_bin: largest number of bottles that were in the bin at once, after the start or an action.
-        has_succeeded: whether all bottles were in the bin at once.
+        most_in_bin: largest number of bottles that were in the bin at the same time, after the start or an action.
+        has_succeeded: whether all bottles were in the bin at the same time.
         failure: MuJoCo's reason why the simulation became unstable, which ends the trial; None without one.
 
     Args:

@@ -1,7 +1,7 @@
 """Scripted expert of `put_bottles`: one arm at a time grasps a bottle from above and drops it into the bin, cap first.
 
-Cap first, because ABC judges by a bottle's origin, its foot, and a foot on the bin's floor is below the heights that
-count as in the bin.
+Cap first, because ABC judges by a bottle's origin, which is at its foot. On the bin's floor, a foot is below the
+heights that count.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class BottlesExpert:
     def _plan(self, arm: int, T_bottle: Array, turn: float, T_bin: Array) -> Iterator[Waypoint]:
         """Yield the waypoints of an arm to a bottle, the bin and its home posture. Raise OutOfReachError.
 
-        `turn`, rad, is that of the hand about its approach: 0 for cap first into the bin, pi for foot first.
+        `turn`, rad, is the turn of the hand about its approach: 0 for cap first into the bin, pi for foot first.
         """
         home = self._home[arm, :6]
         T_grasp = grasp_pose(T_bottle)

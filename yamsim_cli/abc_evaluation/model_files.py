@@ -20,7 +20,7 @@ def find_model_folder(environ: Mapping[str, str]) -> Path:
     """Return the folder of the model files in the checkout that `YAMSIM_ABC` names.
 
     Raises:
-        ResourceError: the variable is not set, or the files are not those of the commit.
+        ResourceError: the variable is not set, or the files differ from the commit's.
     """
     checkout = environ.get(CHECKOUT_VARIABLE, "")
     remedy = f"clone the repository amazon-far/abc, check out {COMMIT}, and set {CHECKOUT_VARIABLE} to its folder"

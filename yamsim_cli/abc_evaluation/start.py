@@ -1,7 +1,7 @@
 """Start distribution of `put_bottles`: sizes and poses of six bottles and a bin, sampled from a seed.
 
 All constants of this module are from amazon-far/abc e5e1fbc, class `PutBottlesSimConfig` of `abc_minimal/config.py`.
-The order in which random numbers are drawn is that of its `PutBottlesEnv.reset`, so a seed gives the same start there.
+Random numbers are drawn in the same order as in its `PutBottlesEnv.reset`, so a seed gives the same start there.
 """
 
 from __future__ import annotations

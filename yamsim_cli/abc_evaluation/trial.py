@@ -62,7 +62,7 @@ class BottlesResult:
         start_seed: seed of the start: that of the evaluation plus the trial's number, as in ABC's evaluation.
         seconds: duration of each inference, s.
         in_bin: bottles in the bin at the end.
-        most_in_bin: largest number of bottles that were in the bin at once.
+        most_in_bin: largest number of bottles that were in the bin at the same time.
         places: object -> position (x, y), m, and heading, rad, at the start.
     """
 
@@ -114,7 +114,7 @@ class BottlesTrialRunner(Closable):
             raise
 
     def run(self, job: AttemptJob) -> BottlesResult:
-        """Run one trial, which ends when all bottles were in the bin at once, or at the time limit."""
+        """Run one trial, which ends when all bottles were in the bin at the same time, or at the time limit."""
         seed = job.seed + job.attempt
         seconds: list[float] = []
         hold = int(getattr(self._policy, "ticks", 1))

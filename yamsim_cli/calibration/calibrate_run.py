@@ -28,7 +28,7 @@ from .uncertainty import StationIntervals, estimate_intervals
 from .wrist_fit import WristOutcome, estimate_wrist_camera
 
 EXCHANGED_OVERLAP = "exchanged_overlap"  # figure of a camera whose pictures show exchanged arms
-_MIN_FRAMES = 16  # pictures; with fewer, the scatter between groups of them tells little
+_MIN_FRAMES = 16  # pictures; with fewer, the scatter between groups of them is not significant
 _MIN_CHANGED = 0.005  # share of a picture that changes with the arms, of the median picture
 _MIN_OVERLAP = 0.25  # intersection over union of the moving bodies with what changes
 _MAX_CHANCE = 0.85  # the overlap for exchanged poses, as a share of that for each picture's own pose
@@ -70,7 +70,7 @@ class CalibrationRequest:
 
 @dataclass(frozen=True)
 class CameraOutcome:
-    """What the pictures of a camera gave.
+    """Result of the pictures of a camera.
 
     Attributes:
         refusal: why its pose is not certain, with a remedy; None for a certain pose.
@@ -158,7 +158,7 @@ class StationCalibrator:
         return found
 
     def _with_exchange_told(self, started: _Started) -> _Started:
-        """Return a refusal that says so if the arms' exchanged joints explain the pictures better."""
+        """Return a refusal if the arms' exchanged joints explain the pictures better."""
         outcome, overlap = started.outcome, started.outcome.figures.get("overlap")
         if outcome.refusal is None or overlap is None or not has_two_equal_arms(self._rig):
             return started
@@ -341,7 +341,7 @@ class StationCalibrator:
 
 
 def found_share(fit: StationFit, camera: int | None = None) -> float:
-    """Return the share of outline points with an edge, in all pictures or those of a camera."""
+    """Return the share of outline points with an edge, in all pictures or in a camera's pictures."""
     chosen = [one for one in fit.equations if camera in (None, one.camera)]
     return sum(one.found for one in chosen) / max(sum(one.points for one in chosen), 1)
 
@@ -371,7 +371,7 @@ def _is_other_pose(one: StationFit, other: StationFit) -> bool:
 
 
 def _joined_state(states: Sequence[StationState]) -> StationState:
-    """Return the state of all cameras; joint offsets are the means, bases those of the first."""
+    """Return the state of all cameras; joint offsets are means, and bases are from the first."""
     first = states[0]
     return StationState(
         tuple(one.T_base_in_cam[0] for one in states),

@@ -51,8 +51,8 @@ class CalibratedCamera(_CameraOnBody):
 
     Attributes:
         focal: `given`, and then moved by the fit within its error, or `estimated` without a prior value.
-        focal_95_percent, delay_95_ms: half widths of 95 % intervals. The interval of a given focal length is that of
-            its file.
+        focal_95_percent, delay_95_ms: half widths of 95 % intervals. The interval of a given focal length is from its
+            file.
         delay_ms: pictures show the arms as they were this much before their time stamps.
         frames: pictures that the fit used.
     """

@@ -1,4 +1,4 @@
-"""Prepare a camera's pictures for the fit: choose, undistort, compare with the background, and tell moving bodies."""
+"""Prepare a camera's pictures for the fit: choose, undistort, compare with the background, and find moving bodies."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def prepare_camera(
     """
     chosen = choose_pictures(episodes, name, count)
     images: list[tuple[tuple[int, int, float], Image]] = []
-    own: list[tuple[BackgroundPicture, ...]] = [()]  # the first background is that of all short episodes
+    own: list[tuple[BackgroundPicture, ...]] = [()]  # the first background is for all short episodes
     background_of: dict[int, int] = {}
     for number, episode in enumerate(episodes):
         if name not in episode.cameras:
@@ -144,7 +144,7 @@ class _BodyPlaces:
         to_reference = invert_pose(rig.T_base_in_world(rig.recording_order[0]))
         self._bases = {k: to_reference @ rig.T_base_in_world(k) for k in range(len(rig.arms))}
         self._points = renderer.surface_points(_POINT_SPACING)
-        # Four points of a body tell its place: their distances to those elsewhere are about those of its surface.
+        # Four points of a body determine its place: their distances to those elsewhere are about those of its surface.
         self._corners = [
             np.array([points.mean(axis=0) + 0.05 * axis for axis in np.eye(3)]) if len(points) else None
             for points in self._points

@@ -149,7 +149,7 @@ def compare_with_background(
     """Return a picture, `frame` being its episode, number and time, with its difference to a background."""
     own, behind = (cv2.GaussianBlur(one, (0, 0), CHANGE_BLUR).astype(np.float32) for one in (image, background.image))
     signed = own - behind
-    # The exposure may have changed: its level is that of most pixels.
+    # The exposure may have changed: its level is the level of most pixels.
     signed -= np.median(signed, axis=(0, 1), keepdims=True)
     change = np.abs(signed).max(axis=2)
     noise = 1.4826 * float(np.median(change))

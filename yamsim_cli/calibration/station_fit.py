@@ -38,7 +38,7 @@ MOVING, STILL, UNCLEAR = 1, 2, 3  # kinds of bodies in a picture
 _PIXEL_BLUR = 0.29  # px, standard deviation of a pixel's own area
 _FULL = 250  # grey level of rendered bodies
 _RENDERED_REACH = 2.5  # grains, within which the edge of a rendered body is searched
-_MOSTLY = 0.5  # share of pictures in which a body stands still, for the biases of still bodies
+_MOSTLY = 0.5  # share of pictures in which a body is still, for the biases of still bodies
 _MIN_LINE = 10  # outline points; a shorter outline is not used
 
 # Parameters of a camera, in order: the turn and shift of its pose, the logarithm of its focal length, its delay (s), a
@@ -381,7 +381,7 @@ class StationProblem:
             turned = np.cross(joints.axes[None], points[mine, None] - joints.anchors[None])
             by_joint = np.einsum("njk,nk->nj", turned, across[mine])
             moved = renderer.moved_by[arm][:, outline.bodies[mine]].T
-            # An offset of the first joint turns the base body, and leaves the links where the measured joint says.
+            # An offset of the first joint turns the base body, and leaves the links at the measured joint positions.
             base_turn = by_joint[:, 0] * ~moved[:, 0]
             by_joint *= moved
             J[mine, self.layout.offsets(arm)] = -by_joint
@@ -466,7 +466,7 @@ def _weighted(rows: Sequence[_FrameRows], size: int) -> Iterator[FrameEquations]
     for one in rows:
         sigma = np.array([sigmas[one.camera, body] for body in one.bodies.tolist()])
         weight = edge_weights(one.residuals, sigma, sigma)
-        # All pictures show the same edges of what stands still, with the same errors.
+        # All pictures show the same edges of still bodies, with the same errors.
         weight[one.still] *= min(1.0, _STILL_PICTURES / sum(other.camera == one.camera for other in rows))
         weighted = one.jacobian * weight[:, None]
         median = float(np.median(np.abs(one.residuals))) if len(weight) else float("nan")

@@ -27,7 +27,7 @@ Groups = NDArray[np.int64]  # (frames,) numbers of groups
 
 
 def is_measured(half_width: float, prior: float) -> bool:
-    """Return whether the half width of a 95 % interval is clearly less than that of the prior standard deviation."""
+    """Return whether the half width of a 95 % interval is clearly less than the half width of the prior."""
     return half_width < _MAX_INTERVAL_RATIO * Z95 * prior
 
 

@@ -46,7 +46,7 @@ _PICTURES = 30  # of an opening, at most
 _STARTS = 40  # poses near the rig's from which the fit starts; from one alone, it ends at wrong edges
 _START_TURN, _START_SHIFT = math.radians(2.5), 0.006  # rad and m, standard deviations of their distances from the rig's
 _START_REACHES = (10.0, 6.0, 3.5)  # grains, search distance for edges by round, from each start
-_BEST = 4  # starts whose fit goes on
+_BEST = 4  # starts whose fit continues
 _REACHES = (3.5, 2.5, 2.5, 2.5, 2.5, 2.5)  # grains, the same for these
 _FAR = 3.0  # grains, distance of an outline point without a nearer edge in the comparison of fits
 _PRIOR_TURN, _PRIOR_SHIFT = math.radians(5.0), 0.02  # rad and m, standard deviations of the rig's pose
@@ -87,7 +87,7 @@ class _MeanPicture:
 
 @dataclass(frozen=True)
 class WristOutcome:
-    """What the pictures of a wrist camera gave: a fit, and why it is refused, or None for a certain pose."""
+    """Result of the pictures of a wrist camera: a fit, and why it is refused, or None for a certain pose."""
 
     name: str
     model: CameraModel

@@ -33,7 +33,7 @@ class CameraEffects(Config):
     Attributes:
         lens: model of `distortion`: OpenCV's standard model, or its fisheye model.
         distortion: coefficients in OpenCV's order: 4, 5, 8, 12 or 14 of the standard model, 4 of the fisheye model. The
-            focal length remains that of the camera's field of view.
+            camera's field of view determines the focal length.
         principal_point: offset of the principal point from the sensor's centre, to the right and down, as a share of
             the sensor's width and height.
         exposure_ev: change of the exposure, EV: +1 doubles the light.

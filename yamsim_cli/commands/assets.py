@@ -271,7 +271,7 @@ def import_object(
     ] = "auto",
     base: Annotated[
         Literal["free", "fixed"] | None,
-        typer.Option(help="Whether the object can be moved.  [default: as in the file]"),
+        typer.Option(help="Whether the object's base can move.  [default: as in the file]"),
     ] = None,
     friction: Annotated[float | None, typer.Option(min=0.01, max=5, help="Sliding friction.")] = None,
     out: Annotated[

@@ -21,9 +21,7 @@ def compose_xml(
     background: Annotated[
         bool, typer.Option("--background/--no-background", help="Sky, floor and lights; a task's table stays.")
     ] = True,
-    task: Annotated[
-        str | None, typer.Option(help="Also add the table and the objects of this task, such as pickplace.")
-    ] = None,
+    task: Annotated[str | None, typer.Option(help="Task whose table and objects are added, such as pickplace.")] = None,
     seed: Annotated[int, typer.Option(help="Seed for the poses of the task's objects.")] = 0,
     grasp: Grasp = None,
     mujoco: Annotated[

@@ -15,7 +15,8 @@ from yamsim_cli.terminal.tables import NameValueTable
 app = typer.Typer(help="List, show and check configs.", no_args_is_help=True)
 
 ConfigKindArgument = Annotated[
-    str, typer.Argument(help="rigs, scenes, tasks, objects, cameras, quality or record.", show_default=False)
+    str,
+    typer.Argument(help="A kind of config, such as rigs; `yamsim config list` prints all kinds.", show_default=False),
 ]
 
 

@@ -14,7 +14,7 @@ from yamsim_cli.flags.session_options import session_opener, session_settings
 from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
 from yamsim_cli.terminal.signals import stop_on_signal
 
-_STOPPING_NOTE = "Stopping once the trials in progress are done. Another signal stops at once; --resume continues."
+_STOPPING_NOTE = "Stopping once the trials in progress are done. Another signal stops immediately; --resume continues."
 
 
 def correct(
@@ -26,7 +26,9 @@ def correct(
             show_default=False,
         ),
     ],
-    n: Annotated[int, typer.Option("--n", min=1, help="Trials of the policy; those that fail are corrected.")] = 50,
+    n: Annotated[
+        int, typer.Option("--n", min=1, help="Number of trials of the policy. The expert corrects failed trials.")
+    ] = 50,
     seed: flags.Seed = None,
     workers: flags.Workers = None,
     out: Annotated[Path, typer.Option(help="The dataset's directory.")] = Path("corrections"),
@@ -36,7 +38,7 @@ def correct(
             min=0,
             max=600,
             metavar="SECONDS",
-            help="How long before the last motion of a failed trial the expert takes over, simulated s.",
+            help="Time between the takeover and the last motion of a failed trial, simulated s.",
         ),
     ] = 2.0,
     policy_arg: Annotated[
@@ -76,9 +78,9 @@ def correct(
     offline: flags.Offline = False,
     json: flags.Json = False,
 ) -> None:
-    """Run a policy, and where it fails, let the expert take over before the failure. Record both parts as an episode.
+    """Run a policy. If it fails, let the expert take over before the failure, and record both parts as an episode.
 
-    Trial k starts as trial k of yamsim eval with the same seed. Give a seed with which nothing was recorded. Exit code
+    Trial k starts as trial k of yamsim eval with the same seed. Use a seed with which nothing was recorded. Exit code
     6 if no trial was corrected.
 
     Example: yamsim correct --policy my_policy.py:MyPolicy --n 50 --seed 1000 --out corrections

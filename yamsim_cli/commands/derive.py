@@ -18,7 +18,7 @@ _DEFAULT_PARTS = ("train=0.8", "test=0.2")
 _PART = re.compile(r"^([A-Za-z0-9_][A-Za-z0-9_-]*)=([0-9.]+)$")
 
 Out = Annotated[
-    Path, typer.Option(metavar="DIR", help="Dataset to make. The same command continues an unfinished one.")
+    Path, typer.Option(metavar="DIR", help="Dataset to create. The same command continues an unfinished dataset.")
 ]
 
 
@@ -27,7 +27,12 @@ def merge(
     out: Out,
     selection: Annotated[
         list[Path] | None,
-        typer.Option("--selection", metavar="FILE", help="One for each dataset, in their order.", show_default=False),
+        typer.Option(
+            "--selection",
+            metavar="FILE",
+            help="A selection for each dataset, in the order of the datasets.",
+            show_default=False,
+        ),
     ] = None,
     json: Json = False,
 ) -> None:
@@ -57,11 +62,11 @@ def filter_dataset(
     out: Out,
     selection: SelectionFile = None,
     episodes: Annotated[
-        str | None, typer.Option(metavar="LIST", help="Which episodes, such as 0,3,5-9.  [default: all]")
+        str | None, typer.Option(metavar="LIST", help="Numbers of the episodes, such as 0,3,5-9.  [default: all]")
     ] = None,
     json: Json = False,
 ) -> None:
-    """Write some episodes of a dataset as a dataset of their own, numbered from 0.
+    """Write some episodes of a dataset as a new dataset, numbered from 0.
 
     provenance.json in it lists where each episode comes from. Trims stay in its selection.yaml; episodes are whole.
 
@@ -83,13 +88,13 @@ def filter_dataset(
 def split(
     dataset: Annotated[Path, typer.Argument(help="A dataset.", show_default=False)],
     out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder of the parts. The same command continues an unfinished one.")
+        Path, typer.Option(metavar="DIR", help="Folder of the parts. The same command continues an unfinished folder.")
     ],
     part: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=SHARE", help="A part; the shares add up to 1.  [default: train=0.8 test=0.2]"),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Shuffles the episodes.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random order of episodes.")] = 0,
     selection: SelectionFile = None,
     json: Json = False,
 ) -> None:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from yamsim_cli.recording.draw_config import DrawChanges
     from yamsim_cli.recording.recorder import RecordReport
 
-_STOPPING_NOTE = "Stopping once the episodes in progress are drawn. Another signal stops at once; --resume continues."
+_STOPPING_NOTE = "Stopping once the current episodes are drawn. Another signal stops immediately; --resume continues."
 _MAX_LOOKS = 99  # datasets of one command; more would be a mistake in the number
 
 
@@ -43,7 +43,9 @@ def draw(
     size: flags.Size = None,
     jpeg_quality: Annotated[int | None, typer.Option(min=1, max=100, help="JPEG quality.")] = None,
     camera: flags.Cameras = None,
-    views: Annotated[int, typer.Option(min=0, max=100, help="Add so many random cameras, view_00, view_01, ....")] = 0,
+    views: Annotated[
+        int, typer.Option(min=0, max=100, help="Number of random cameras to add: view_00, view_01, ....")
+    ] = 0,
     cameras: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Add the fixed cameras of a YAML file, in its list `cameras`.")
     ] = None,
@@ -68,7 +70,7 @@ def draw(
     offline: flags.Offline = False,
     json: flags.Json = False,
 ) -> None:
-    """Render the stored states of a dataset again: with other images, and the same physics.
+    """Render the stored states of a dataset again, with other images and the same physics.
 
     Example: yamsim draw dataset/ --out varied --looks 3 --randomize
     """

@@ -32,7 +32,7 @@ def evaluate(
     policy_arg: Annotated[
         list[str] | None,
         typer.Option(
-            help="A keyword for your own policy's class, and for compared classes that take it; may be repeated.",
+            help="A keyword for your own policy's class, and for compared classes that accept it; may be repeated.",
             metavar="KEY=VALUE",
         ),
     ] = None,
@@ -41,8 +41,8 @@ def evaluate(
         Path | None,
         typer.Option(
             metavar="DATASET",
-            help="Dataset that the policy was trained on: its image size and quality are used unless given, and "
-            "differences are reported.  [default: that of the policy's config or checkpoint]",
+            help="The policy's training dataset: sets image size and quality, unless their flags do, and "
+            "reports differences.  [default: the dataset in the policy's config or checkpoint]",
         ),
     ] = None,
     execute: policy_flags.Execute = None,
@@ -66,10 +66,13 @@ def evaluate(
     out: ReportFile = None,
     html: Annotated[Path | None, typer.Option(help="Also write a leaderboard page.", metavar="FILE")] = None,
     video: Annotated[
-        Path | None, typer.Option(help="Film failures: all in one FILE.mp4, or one each in a folder.", metavar="PATH")
+        Path | None,
+        typer.Option(
+            help="Record videos of failures: one FILE.mp4 of all, or a file for each in a folder.", metavar="PATH"
+        ),
     ] = None,
     video_trials: VideoTrials = 10,
-    video_all: Annotated[bool, typer.Option("--video-all", help="With --video: film successes too.")] = False,
+    video_all: Annotated[bool, typer.Option("--video-all", help="With --video: also record successes.")] = False,
     end: Annotated[
         Literal["success", "actor"],
         typer.Option(
@@ -153,7 +156,7 @@ def evaluate(
 def _evaluate_abc(
     choice: PolicyChoice, others: list[str], settings: dict[str, Any], given: dict[str, Any]
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Evaluate a policy in ABC's own scene. `given` has the command's parameters, `settings` those of sessions."""
+    """Evaluate a policy in ABC's own scene. `given` are the command's parameters, `settings` the session's."""
     from yamsim_cli.abc_evaluation.evaluation import (
         DEFAULT_SEED,
         DEFAULT_SIZE,

@@ -27,8 +27,10 @@ app = typer.Typer(help="Write a dataset or a calibration in the formats of other
 Dataset = Annotated[
     Path, typer.Argument(help="The directory that `yamsim record` or `yamsim import` wrote.", show_default=False)
 ]
-Out = Annotated[Path, typer.Argument(help="Directory to make.", show_default=False)]
-Episodes = Annotated[str | None, typer.Option(metavar="LIST", help="Which episodes, such as 0,3,5-9.  [default: all]")]
+Out = Annotated[Path, typer.Argument(help="Directory to create.", show_default=False)]
+Episodes = Annotated[
+    str | None, typer.Option(metavar="LIST", help="Numbers of the episodes, such as 0,3,5-9.  [default: all]")
+]
 RealFps = Annotated[
     float | None,
     typer.Option(
@@ -62,7 +64,7 @@ Top = Annotated[
         metavar="CAMERA", help="Camera with the role `top`.  [default: the only one not on a wrist]", show_default=False
     ),
 ]
-Encoders = Annotated[int, typer.Option(min=1, help="Processes that encode.")]
+Encoders = Annotated[int, typer.Option(min=1, help="Number of processes that encode.")]
 
 
 @app.callback()
@@ -87,12 +89,14 @@ def raiden(
         Literal["png", "jpg"],
         typer.Option(help="Format of the pictures. raiden reads only PNG; jpg with --fps source copies the recording."),
     ] = "png",
-    single: Annotated[bool, typer.Option("--single", help="Arrays of one arm: 7 and 13 wide, not 14 and 26.")] = False,
+    single: Annotated[
+        bool, typer.Option("--single", help="Arrays with only one arm: 7 and 13 numbers wide, not 14 and 26.")
+    ] = False,
     hand_frame: Annotated[
         Literal["yamsim", "i2rt"],
         typer.Option(help="Hand poses by the simulated arm's kinematics, or by raiden's for the same joints."),
     ] = "yamsim",
-    workers: Annotated[int, typer.Option(min=1, help="Processes that render.")] = 2,
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes that render.")] = 2,
     actions: RealActions = None,
     episodes: Episodes = None,
     selection: SelectionFile = None,
@@ -260,7 +264,7 @@ def abc(
     overwrite: RenameExisting = False,
     json: Json = False,
 ) -> None:
-    """Write episodes as ABC-130k has them: MCAP, or 30 rows a second for its trainer. A single arm is the left arm.
+    """Write episodes in the formats of ABC-130k (MCAP) and of ABC's trainer. A single arm becomes the left arm.
 
     Example: yamsim export abc dataset/ abc_release/
     """
@@ -286,10 +290,14 @@ def abc(
 def mp4(
     dataset: Dataset,
     out: Annotated[
-        Path, typer.Argument(help="Directory of videos to make; with --sheet a FILE.jpg.", show_default=False)
+        Path, typer.Argument(help="Directory of videos to create; with --sheet a FILE.jpg.", show_default=False)
     ],
-    camera: Annotated[list[str] | None, typer.Option(help="Several are put side by side.  [default: all]")] = None,
-    sheet: Annotated[bool, typer.Option("--sheet", help="One picture instead, with a row per episode.")] = False,
+    camera: Annotated[
+        list[str] | None, typer.Option(help="Camera to show; may be repeated: images are side by side.  [default: all]")
+    ] = None,
+    sheet: Annotated[
+        bool, typer.Option("--sheet", help="Write one image with a row for each episode, in place of videos.")
+    ] = False,
     columns: Annotated[int, typer.Option(min=1, max=100, help="With --sheet: images in a row.")] = 8,
     width: Annotated[int, typer.Option(min=16, max=1920, help="With --sheet: width of each image, px.")] = 160,
     speed: Annotated[
@@ -365,7 +373,7 @@ def calibration(
     overwrite: RenameExisting = False,
     json: Json = False,
 ) -> None:
-    """Write a station's calibration in formats of other programs, as OUT/FORMAT/, and say what does not fit.
+    """Write a station's calibration in formats of other programs, as OUT/FORMAT/, and report values that do not fit.
 
     Example: yamsim export calibration calibration/calibration.yaml exported/ --format ros
     """

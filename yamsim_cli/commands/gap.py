@@ -63,7 +63,8 @@ def gap(
         str | None, typer.Option(help="Camera whose photos are compared.  [default: the fixed camera]")
     ] = None,
     fail_above: Annotated[
-        float | None, typer.Option(min=0, metavar="MRAD", help="Exit 5 if a joint's RMS error is above this.")
+        float | None,
+        typer.Option(min=0, metavar="MRAD", help="Exit code 5 if a joint's RMS error is above this value."),
     ] = None,
     html: Annotated[Path | None, typer.Option(help="Also write a page with curves and pictures.")] = None,
     overwrite: Overwrite = False,
@@ -153,7 +154,7 @@ def _choose_rig(
     recording: Path,
     locations: Locations,
 ) -> RigConfig:
-    """Return the named rig, or else that of the recording's dataset, or else `single`."""
+    """Return the named rig, or else the rig of the recording's dataset, or else `single`."""
     from yamsim_cli.core.dataset.dataset_paths import CONFIG_FILE
     from yamsim_cli.core.dataset.imported_records import is_imported_dataset, read_imported_config
     from yamsim_cli.core.dataset.reader import read_recording_config

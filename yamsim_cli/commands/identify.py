@@ -29,7 +29,7 @@ def excite(
     ] = None,
     out: Annotated[Path, typer.Option(help="The CSV of commands.")] = Path("motion.csv"),
     seconds: Annotated[float, typer.Option(min=20, max=600, help="Duration of the motion.")] = 60.0,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all random samples.")] = 0,
     log: Annotated[
         Path | None, typer.Option(help="Also simulate the motion, and write the simulated arm's log.")
     ] = None,

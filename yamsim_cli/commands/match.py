@@ -39,7 +39,7 @@ def match(
     ] = None,
     joints: Annotated[
         Path | None,
-        typer.Option(help="Joints in rad, one row for all photos or one for each: .npy or .yaml; else home."),
+        typer.Option(help="Joints in rad, one row for all photos or one for each: .npy or .yaml.  [default: home]"),
     ] = None,
     scene: Annotated[
         str, typer.Option(metavar="NAME|FILE", help="Scene with the table's place and size, and the floor's height.")
@@ -48,7 +48,7 @@ def match(
         Path | None, typer.Option(help="Your mask of the robot, or a folder of masks, for the score.")
     ] = None,
     min_iou: Annotated[
-        float | None, typer.Option(min=0, max=1, help="Exit 5 if the overlap is smaller; needs --mask-image.")
+        float | None, typer.Option(min=0, max=1, help="Exit code 5 if the overlap is smaller; needs --mask-image.")
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for matched.yaml, match.json and the page.")] = Path("matched"),
     overwrite: Overwrite = False,

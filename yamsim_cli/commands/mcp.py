@@ -9,7 +9,9 @@ from yamsim_cli.terminal.console import print_json
 
 
 def mcp(
-    root: Annotated[Path, typer.Option(metavar="DIRECTORY", help="Folder outside which no dataset is read.")] = Path(),
+    root: Annotated[
+        Path, typer.Option(metavar="DIRECTORY", help="Folder of the datasets. The server reads no dataset outside it.")
+    ] = Path(),
     seconds: Annotated[float, typer.Option(min=1, max=3600, help="Longest time of a tool's command, s.")] = 120.0,
     json: Annotated[bool, typer.Option("--json", help="Serve nothing; print the tools as JSON.")] = False,
 ) -> None:

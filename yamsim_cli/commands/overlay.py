@@ -33,20 +33,26 @@ def overlay(
         ),
     ] = None,
     calibration: StationCalibration = None,
-    joints: Annotated[Path | None, typer.Option(help="Joints in rad: .npy, .yaml or a lowdim .pkl; else home.")] = None,
+    joints: Annotated[
+        Path | None, typer.Option(help="Joints in rad: .npy, .yaml or a lowdim .pkl.  [default: home]")
+    ] = None,
     episode: Annotated[
         list[Path] | None,
         typer.Option(help="A recorded episode, DATASET/ep_NNNNNN, or a dataset, instead of --img; may be repeated."),
     ] = None,
-    episode_camera: Annotated[str | None, typer.Option(help="The episode's camera; else the fixed one.")] = None,
+    episode_camera: Annotated[
+        str | None, typer.Option(help="The episode's camera.  [default: the fixed camera]")
+    ] = None,
     every: Annotated[int, typer.Option(min=1, help="Use every N-th photo.")] = 1,
     out: Annotated[Path, typer.Option(help="Folder for the pictures and overlay.json.")] = Path("overlays"),
     margin: Margin = None,
     trust_margin: Annotated[
-        bool, typer.Option("--trust-margin", help="Trust the rig's margin: all boards together give one pose.")
+        bool, typer.Option("--trust-margin", help="Take the rig's margin as exact: all boards together give one pose.")
     ] = False,
-    refine: Annotated[bool, typer.Option("--refine", help="Improve each pose by the photo's edges.")] = False,
-    mask: Annotated[bool, typer.Option("--mask", help="Also write a mask: 0 where no arm is, else 1 or 2.")] = False,
+    refine: Annotated[bool, typer.Option("--refine", help="Adjust each pose to the photo's edges.")] = False,
+    mask: Annotated[
+        bool, typer.Option("--mask", help="Also write a mask: 1 and 2 for the first and the second arm, else 0.")
+    ] = False,
     mask_image: Annotated[Path | None, typer.Option(help="Your mask of the robot, or a folder of masks.")] = None,
     max_turn: Annotated[
         float, typer.Option(min=0, help="Largest standard deviation of the rotation of a certain pose, degrees.")
@@ -55,13 +61,13 @@ def overlay(
         float, typer.Option(min=0, help="Largest standard deviation of the position of a certain pose, mm.")
     ] = 10.0,
     max_reprojection: Annotated[
-        float | None, typer.Option(min=0, help="Exit 4 if a board's reprojection error is larger, px.")
+        float | None, typer.Option(min=0, help="Exit code 4 if a board's reprojection error is larger, px.")
     ] = None,
     min_iou: Annotated[
-        float | None, typer.Option(min=0, max=1, help="Exit 4 if the overlap is smaller; needs --mask-image.")
+        float | None, typer.Option(min=0, max=1, help="Exit code 4 if the overlap is smaller; needs --mask-image.")
     ] = None,
     fail_if_moved: Annotated[
-        bool, typer.Option("--fail-if-moved", help="Exit 4 if the camera or a base was moved between photos.")
+        bool, typer.Option("--fail-if-moved", help="Exit code 4 if the camera or a base was moved between photos.")
     ] = False,
     opacity: Annotated[float, typer.Option(min=0, max=1, help="Opacity of the rendered arms.")] = 0.55,
     video: Annotated[Path | None, typer.Option(help="Also write an MP4 of all pictures.")] = None,
@@ -147,7 +153,7 @@ def overlay(
 def _choose_rig(
     name: str | None, revision: str | None, recordings: Sequence[Path], margin: float | None, locations: Locations
 ) -> RigConfig:
-    """Return the named rig, or else that of the recordings' dataset, or else `single`."""
+    """Return the named rig, or else the rig of the recordings' dataset, or else `single`."""
     from yamsim_cli.core.dataset.dataset_paths import CONFIG_FILE
     from yamsim_cli.core.dataset.reader import read_recorded_rig
 

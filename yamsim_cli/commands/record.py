@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from yamsim_cli.recording.recorder import RecordReport
 
 _STOP_SIGNAL_NOTE = (
-    "Stopping once the attempts in progress are done. Another signal stops at once; nothing is lost either way."
+    "Stopping once the attempts in progress are done. Another signal stops immediately; nothing is lost either way."
 )
 
 

@@ -33,12 +33,13 @@ def replay(
     ] = None,
     video: Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Write an H.264 video instead.")] = None,
     camera: Annotated[
-        list[str] | None, typer.Option(help="Camera of the video; several are put side by side.  [default: the first]")
+        list[str] | None,
+        typer.Option(help="Camera of the video; may be repeated: images are side by side.  [default: the first]"),
     ] = None,
     selection: SelectionFile = None,
     render: Annotated[bool, typer.Option("--render", help="Render the video anew from recorded states.")] = False,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="With --render: size of each image.")] = None,
-    speed: Annotated[float, typer.Option(help="How fast time passes; 0.5 is slow motion.")] = 1.0,
+    speed: Annotated[float, typer.Option(help="Playback speed; 0.5 is slow motion.")] = 1.0,
     overwrite: RenameExisting = False,
     web: WebOrNative = None,
     port: Port = None,

@@ -28,7 +28,7 @@ def review(
             metavar="DATASET", help="A dataset; with --diff two, with --merge two selections.", show_default=False
         ),
     ],
-    diff: Annotated[bool, typer.Option("--diff", help="Say in which values two datasets differ.")] = False,
+    diff: Annotated[bool, typer.Option("--diff", help="Report the values in which two datasets differ.")] = False,
     merge: Annotated[bool, typer.Option("--merge", help="Merge the selections of two reviewers into --out.")] = False,
     out: Annotated[
         Path | None,
@@ -57,7 +57,7 @@ def review(
     ] = None,
     port: Annotated[
         int | None,
-        typer.Option(min=0, max=65535, help=f"Port of the page, {_DEFAULT_PORT} unless given; 0 takes a free one."),
+        typer.Option(min=0, max=65535, help=f"Port of the page, by default {_DEFAULT_PORT}; 0 selects a free port."),
     ] = None,
     overwrite: Overwrite = False,
     json: Json = False,
@@ -105,7 +105,7 @@ def _require_dataset(path: Path) -> None:
     try:
         found = detect_format(path)
     except YamsimError:
-        return  # the reader of datasets says what is wrong
+        return  # the reader of datasets reports the fault
     raise DatasetError(
         f"{path} is a recording ({found}) without hashes, so decisions on it could not be kept; import it with "
         f"`yamsim import {path} --rig RIG --out DIR`, and review DIR"
@@ -115,7 +115,7 @@ def _require_dataset(path: Path) -> None:
 def _read_rows(
     dataset: Path, more: dict[int, dict[str, Any]], rig: RigConfig | None, motion: bool
 ) -> list[dict[str, Any]]:
-    """Return the rows of a dataset with `more` values and, with `motion`, those of all frames."""
+    """Return the rows of a dataset with `more` values and, with `motion`, the values of all frames."""
     from yamsim_cli.core.dataset.dataset_paths import episode_directories
     from yamsim_cli.review.episode_index import read_rows
     from yamsim_cli.review.episode_motion import MOTION_CACHE, read_motion

@@ -15,7 +15,7 @@ def serve_policy(
         str,
         typer.Option(help="Address to listen on. Beyond 127.0.0.1, anyone who reaches the address can use the policy."),
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 takes a free one.")] = 8080,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 selects a free port.")] = 8080,
     json: Json = False,
 ) -> None:
     """Serve a policy to `yamsim eval --policy http://HOST:PORT`, for example on a GPU machine. Ctrl-C ends the server.

@@ -60,7 +60,8 @@ def serve_robot(
         ),
     ] = None,
     gap: Annotated[
-        float, typer.Option("--answer-gap", metavar="US", min=0, max=100_000, help="Time between two answers.")
+        float,
+        typer.Option("--answer-gap", metavar="US", min=0, max=100_000, help="Time between two answers of motors, us."),
     ] = _MOTOR_ANSWER_INTERVAL_US,
     kernel: Annotated[
         bool, typer.Option("--kernel", help="Use the kernel's CAN interfaces, such as vcan, instead of sockets.")
@@ -94,9 +95,11 @@ def serve_robot(
     ] = False,
     size: flags.Size = None,
     quality: flags.Quality = None,
-    camera_fps: Annotated[float, typer.Option(min=0.1, max=120, help="Most pictures a second of each camera.")] = 30.0,
+    camera_fps: Annotated[
+        float, typer.Option(min=0.1, max=120, help="Largest number of pictures a second of each camera.")
+    ] = 30.0,
     seconds: Annotated[
-        float | None, typer.Option(min=0.1, max=1e6, help="Seconds until the command ends by itself.")
+        float | None, typer.Option(min=0.1, max=1e6, help="Seconds after which the command ends.")
     ] = None,
     config: flags.ConfigOption = "default",
     offline: flags.Offline = False,

@@ -24,13 +24,13 @@ def summarize(
     overwrite: Overwrite = False,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 4 for warnings too.")] = False,
     workers: Annotated[
-        int | None, typer.Option(min=1, max=1024, help="Processes that read.  [default: one a core]")
+        int | None, typer.Option(min=1, max=1024, help="Number of processes that read files.  [default: one a core]")
     ] = None,
     json: Json = False,
 ) -> None:
     """Check all files of a dataset, and report statistics and problems. Exit code 4 for errors; warnings need --strict.
 
-    With --selection, figures and problems are those of the kept episodes, whole also where they are trimmed.
+    With --selection, figures and problems are for the kept episodes. Trimmed episodes count as a whole.
 
     Example: yamsim summarize dataset/ --threshold 0.03 --html report.html
     """

@@ -69,10 +69,11 @@ def check(
     name: Annotated[str, typer.Argument(help="A task's name or a YAML file.")],
     n: Annotated[int, typer.Option("--n", min=1, help="Attempts of the expert.")] = 20,
     least: Annotated[
-        float, typer.Option("--min-success", min=0, max=1, help="Smallest share of attempts that has to succeed.")
+        float, typer.Option("--min-success", min=0, max=1, help="Smallest share of attempts that must succeed.")
     ] = 0.85,
     video: Annotated[
-        Path | None, typer.Option(help="Film trials that fail: all in one FILE.mp4, or one each in a folder.")
+        Path | None,
+        typer.Option(help="Record videos of failed trials: one FILE.mp4 of all, or a file for each in a folder."),
     ] = None,
     video_trials: VideoTrials = 10,
     overwrite: RenameExisting = False,

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from yamsim_cli.viewers.teleop.teleop_session import TeleopReport
 
 _STOP_SIGNAL_NOTE = (
-    "Ending once recorded attempts are judged and rendered. Another signal ends at once; whole episodes are safe."
+    "Ending once recorded attempts are judged and rendered. Another signal ends immediately; whole episodes are safe."
 )
 
 
@@ -29,7 +29,7 @@ def teleop(
         typer.Option("--input", metavar="STREAM.jsonl", help="File of timed commands, in place of the page."),
     ] = None,
     realtime: Annotated[
-        bool, typer.Option("--realtime", help="With --input: at the clock's pace instead of as fast as possible.")
+        bool, typer.Option("--realtime", help="With --input: run in real time instead of as fast as possible.")
     ] = False,
     out: Annotated[Path, typer.Option(help="The dataset's directory.")] = Path("teleop"),
     seed: flags.Seed = None,

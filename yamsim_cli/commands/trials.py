@@ -37,7 +37,10 @@ def trials(
     html: Annotated[Path | None, typer.Option(help="Also write a page with plots.")] = None,
     video: Annotated[
         Path | None,
-        typer.Option(help="Film trials, failures first: all in one FILE.mp4, or one each in a folder.", metavar="PATH"),
+        typer.Option(
+            help="Record videos of trials, failures first: one FILE.mp4 of all, or a file for each in a folder.",
+            metavar="PATH",
+        ),
     ] = None,
     video_trials: VideoTrials = 10,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Rename older videos, and replace reports.")] = False,

@@ -29,7 +29,7 @@ _MAX_LISTED_DIFFERENCES = 10  # of differences, and of problems; --json has all
 def verify(
     dataset: Annotated[Path, typer.Argument(help="The directory that `yamsim record` wrote.", show_default=False)],
     episodes: Annotated[
-        str | None, typer.Option(metavar="LIST", help="Which episodes, such as 0,3,5-9.  [default: all]")
+        str | None, typer.Option(metavar="LIST", help="Numbers of the episodes, such as 0,3,5-9.  [default: all]")
     ] = None,
     sample: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="N episodes, spread evenly over the dataset.")
@@ -40,9 +40,11 @@ def verify(
         float,
         typer.Option(min=0.0, help="Largest difference of a number: m, rad, or relative where the number is above 1."),
     ] = 0.0,
-    images: Annotated[bool, typer.Option("--images", help="Render again too, and compare the JPEG files.")] = False,
+    images: Annotated[
+        bool, typer.Option("--images", help="Also render the images again, and compare the JPEG files.")
+    ] = False,
     image_tolerance: Annotated[
-        float, typer.Option(min=0.0, help="With --images: how far pixels may differ in an image's mean, of 255.")
+        float, typer.Option(min=0.0, help="With --images: largest mean difference of an image's pixels, of 255.")
     ] = 0.0,
     offline: Offline = False,
     json: Json = False,

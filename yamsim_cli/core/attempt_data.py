@@ -197,7 +197,7 @@ class AttemptJob:
     attempt: int
 
     def for_look(self, look: int) -> AttemptJob:
-        """Return the job whose random streams vary the appearance in a look; look 0 is that of the recording."""
+        """Return the job whose random streams vary the appearance in a look; look 0 is the recording's look."""
         return AttemptJob(self.seed + look * 2**63, self.attempt)  # seeds are below 2**63, so no two jobs are equal
 
 

@@ -1,7 +1,7 @@
 """Record corrections: trials of a policy that fail, which the expert completes.
 
-Workers and the order of writing are those of a recording, see `recording.collect`. A trial whose worker is lost gets a
-line in the ledger. Attempt k of the dataset is trial k of `yamsim eval` with the same seed.
+Workers and the order of writing are the same as in a recording, see `recording.collect`. A trial whose worker is lost
+gets a line in the ledger. Attempt k of the dataset is trial k of `yamsim eval` with the same seed.
 """
 
 from __future__ import annotations

@@ -87,7 +87,7 @@ def _without_correction(trial: TrialResult, outcome: OutcomeRecord) -> Correctio
 
 
 def _with_correction(payload: AttemptPayload, correction: CorrectionRecord) -> CorrectionPayload:
-    """Return a payload whose frames say who acts."""
+    """Return a payload whose frames state who acts."""
     made = CorrectionPayload(
         payload.attempt,
         payload.outcome,

@@ -1,4 +1,4 @@
-"""When the expert takes over a failed trial of a policy, and how it begins from there."""
+"""The moment at which the expert takes over a failed trial of a policy, and the start of its program."""
 
 from __future__ import annotations
 

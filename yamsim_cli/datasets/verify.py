@@ -101,7 +101,7 @@ class EpisodeVerifier(Closable):
         self._drawn = drawn is not None
         self._physics, self._other_rig = self._simulators, drawn is not None and drawn.rig is not None
         if drawn is not None and drawn.rig is not None:
-            # The images show another rig than that of the states.
+            # The images show another rig than the states.
             source = session.with_values(rig=drawn.rig, cameras=None, camera_effects=())
             self._physics = SimulatorCache(source.without_meshes())
         self._tolerances = tolerances
@@ -139,7 +139,7 @@ class EpisodeVerifier(Closable):
             else:
                 skipped[ACTIONS] = "its frames hold no sim_qpos, sim_ctrl and sim_magnet"
         except DatasetError as error:
-            # The error comes first: it says more than that a file was altered.
+            # The error comes first: it is more specific than the report of an altered file.
             problems = {"": str(error)} | problems
         return EpisodeVerdict(number, checks, skipped, problems, changed)
 
@@ -184,7 +184,7 @@ class EpisodeVerifier(Closable):
 
     @staticmethod
     def _has_other_looks(record: EpisodeRecord, skipped: dict[str, str]) -> bool:
-        """Return whether there are no images of this appearance revision, and then say so in `skipped`."""
+        """Return whether there are no images of this appearance revision, and then report it in `skipped`."""
         if not record.cameras:
             skipped[IMAGES] = "it was recorded without images"
             return True
@@ -243,7 +243,7 @@ def reproduce_frames(
     attempt = attempt_from_record(episode.record, start)
     rules = EXPERT_RULES if episode.record.source == "record" else REPLAY_RULES
     done = simulate_actions(simulator, attempt, actions, rules)
-    # Actions do not tell which skills the expert tried again.
+    # Actions do not show which skills the expert tried again.
     judged = OutcomeRecord.from_outcome(done.outcome).model_copy(update={"recoveries": stored.recoveries})
     # Earlier engines judged and measured differently. Final positions and speeds do not depend on that.
     keys = None if episode.record.versions["engine"] == SIMULATION_REVISION else {"dxy_m", "dz_m", "speed_mps"}

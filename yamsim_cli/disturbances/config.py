@@ -32,8 +32,8 @@ class DisturbanceConfig(Config):
         push_mps: range of the horizontal speed that a push adds to the object, m/s. Its direction is uniform.
         push_time_s: range of the time of the push after the start, s.
         late_grasp_probability: share of the attempts in which the first grasp is late.
-        late_grasp_s: range of the delay of that grasp, s. The arm does not wait: the fingers (with a weld, the weld)
-            close while it goes on, and may miss the object.
+        late_grasp_s: range of the delay of that grasp, s. The fingers or the weld act late, but the arm does not
+            wait, so the hand may miss the object.
     """
 
     noise_rad: _Noise = 0.005

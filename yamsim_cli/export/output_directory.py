@@ -12,7 +12,7 @@ from ..core.files.writing import StagedDirectory, staged_directory
 
 @dataclass(frozen=True)
 class ExportResult:
-    """Result of an export; `notes` tell the user where it differs from the recording."""
+    """Result of an export; `notes` describe its differences from the recording for the user."""
 
     path: Path
     episodes: int

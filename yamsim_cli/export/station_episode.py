@@ -1,4 +1,4 @@
-"""Episodes as the programs of real stations keep them: joints and gripper shares of each arm, cameras by their role."""
+"""Episodes as in the programs of real stations: joints and gripper shares of each arm, cameras by their role."""
 
 from __future__ import annotations
 

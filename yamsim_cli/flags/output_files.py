@@ -25,8 +25,8 @@ MIN_FREE_BYTES = 1 << 16  # no command starts with less; reports and pictures ar
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
 ContinueDataset = Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")]
 RenameExisting = Annotated[bool, typer.Option("--overwrite", help="Rename an existing output.")]
-VideoTrials = Annotated[int, typer.Option(min=1, metavar="N", help="With --video: most trials to film.")]
-ReportFile = Annotated[Path | None, typer.Option(help="Also write the JSON to this file.")]
+VideoTrials = Annotated[int, typer.Option(min=1, metavar="N", help="With --video: largest number of trials.")]
+ReportFile = Annotated[Path | None, typer.Option(help="Also write the JSON report to this file.")]
 
 
 def open_mode(*, resume: bool, overwrite: bool) -> ExistingDatasetMode:

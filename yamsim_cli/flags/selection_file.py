@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 SelectionFile = Annotated[
     Path | None,
     typer.Option(
-        "--selection", metavar="FILE", help="Leave out what a person dropped: the selection.yaml of `yamsim review`."
+        "--selection",
+        metavar="FILE",
+        help="Leave out episodes that a person dropped: the selection.yaml of `yamsim review`.",
     ),
 ]
 Who = Annotated[

@@ -22,7 +22,7 @@ _RIG = typer.Option(
 Rig = Annotated[str | None, _RIG]
 RigName = Annotated[str, _RIG]
 Revision = Annotated[
-    str | None, typer.Option(help="Revision of the robots, in place of the rig's own; see `yamsim robots list`.")
+    str | None, typer.Option(help="Revision of the robots, in place of the rig's; see `yamsim robots list`.")
 ]
 Robot = Annotated[
     list[str] | None,
@@ -32,7 +32,7 @@ Robot = Annotated[
         "repeated.",
     ),
 ]
-Margin = Annotated[float | None, typer.Option(help="Distance between the arms, m, in place of the rig's own.")]
+Margin = Annotated[float | None, typer.Option(help="Distance between the arms, m, in place of the rig's.")]
 StationCalibration = Annotated[
     Path | None,
     typer.Option(
@@ -62,12 +62,14 @@ Task = Annotated[str | None, typer.Option(help="Task: a name from configs/tasks/
 Object = Annotated[
     str | None,
     typer.Option(
-        "--object", metavar="NAME|FILE", help="What is picked up: a name from configs/objects/ or a YAML file."
+        "--object", metavar="NAME|FILE", help="Object to pick up: a name from configs/objects/ or a YAML file."
     ),
 ]
 Target = Annotated[
     str | None,
-    typer.Option(metavar="NAME|FILE", help="What the object is put onto or into: a name or file, as for --object."),
+    typer.Option(
+        metavar="NAME|FILE", help="Target onto or into which the object is put: a name or file, as for --object."
+    ),
 ]
 Scene = Annotated[
     str | None,
@@ -83,12 +85,15 @@ Grasp = Annotated[
 ]
 Arm = Annotated[
     str | None,
-    typer.Option(metavar="left|right", help="Which arm of a rig with two does the task.  [default: right]"),
+    typer.Option(metavar="left|right", help="The acting arm of a rig with two arms.  [default: right]"),
 ]
-Seed = Annotated[int | None, typer.Option(help="Seed of everything random.")]
-Workers = Annotated[int | None, typer.Option(help="Worker processes; they never change the data.")]
+Seed = Annotated[int | None, typer.Option(help="Seed of all random samples.")]
+Workers = Annotated[int | None, typer.Option(help="Number of worker processes. The data do not depend on it.")]
 Threshold = Annotated[
-    float | None, typer.Option(help="Largest distance from the target's centre, m.  [default: the task's, 0.05]")
+    float | None,
+    typer.Option(
+        help="Largest distance from the target's centre that counts as a success, m.  [default: the task's, 0.05]"
+    ),
 ]
 Wrist = Annotated[bool | None, typer.Option("--wrist/--no-wrist", help="Also record the wrist camera.")]
 Randomize = Annotated[
@@ -99,7 +104,7 @@ Randomization = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="Ranges to vary by: a name from configs/randomization/ or a YAML file; `arms` has delays, noise, encoder "
+        help="Ranges of variation: name from configs/randomization/ or a YAML file; `arms` has delays, noise, encoder "
         "steps and errors of the gravity compensation.  [default: with --randomize, `default`]",
     ),
 ]
@@ -127,7 +132,7 @@ Quality = Annotated[
 MinSuccess = Annotated[
     float | None,
     typer.Option(
-        "--min-success", min=0, max=1, metavar="SHARE", help="Exit 5 if a smaller share of the trials succeeds."
+        "--min-success", min=0, max=1, metavar="SHARE", help="Exit code 5 if a smaller share of the trials succeeds."
     ),
 ]
 

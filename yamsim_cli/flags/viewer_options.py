@@ -23,13 +23,13 @@ WebOrNative = Annotated[
 ]
 Port = Annotated[
     int | None,
-    typer.Option(min=0, max=65535, help=f"Port of the browser page, {_DEFAULT_PORT} unless given; 0 takes a free one."),
+    typer.Option(
+        min=0, max=65535, help=f"Port of the browser page, by default {_DEFAULT_PORT}; 0 selects a free port."
+    ),
 ]
 Host = Annotated[
     str | None,
-    typer.Option(
-        help="Where the browser page listens: an address of this machine, 127.0.0.1 unless given; 0.0.0.0 is all."
-    ),
+    typer.Option(help="Address on which the browser page listens, by default 127.0.0.1; 0.0.0.0 means all addresses."),
 ]
 
 

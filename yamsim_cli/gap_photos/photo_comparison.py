@@ -109,7 +109,7 @@ def _known_joints_before(motion: RecordedMotion, delay: float) -> NDArray[np.boo
 def calibrated_postures(motion: RecordedMotion, sample: int, rig: RigConfig, placed: PlacedCamera) -> ArmPostures:
     """Return what a photo that is stamped with the time of a sample (index) shows, by the calibration's delay.
 
-    Joints are without the calibration's offsets, which replace those of the rig's revision.
+    Joints are without the calibration's offsets, which replace the offsets of the rig's revision.
     """
     known = _known_joints(motion)
     times, seen = motion.times[known], motion.times[sample] - placed.delay

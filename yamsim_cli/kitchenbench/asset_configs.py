@@ -30,7 +30,7 @@ _OBJECT_CONFIGS = {
         "distractor", "jar", "bottle", "food_container", "pot", "measuring_cup", "pasta_box",
     )
 }  # fmt: skip
-# Container -> config of its lid. A pot's lid is round, and made from that of the food container.
+# Container -> config of its lid. A pot's lid is round, and derived from the lid of the food container.
 _LIDS = {**LID_CONFIGS, "pot": "kitchen_lid"}
 _LID_ASSET = "lid"
 _POT_RIM = 4.0  # mm, from a pot's inner wall to the rim under its lid
@@ -59,7 +59,7 @@ _SCALED_KEYS = (
 FOLD_GOAL_KIND = "fold"
 #: Asset -> sheet config of the asset's nominal size.
 CLOTH_CONFIGS = {"napkin": "soft_napkin", "cloth": "soft_cloth", "dish_towel": "soft_dish_towel"}
-#: The condition of a scene that says how much its cloth is crumpled.
+#: The condition of a scene that states how much its cloth is crumpled.
 CRUMPLE_CONDITION = "crumple_level"
 _CRUMPLE_SHARES = {
     "light": 0.2,

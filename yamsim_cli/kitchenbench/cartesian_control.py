@@ -57,7 +57,7 @@ class CartesianArm:
     def joints_at(self, target: Array, near: Array) -> Array:
         """Return the joints (6,), rad, nearest to joints `near` (6,) that reach a pose (6,).
 
-        Out of reach, return those of the nearest pose that a search from `near` finds.
+        For a pose out of reach, return the joints of the nearest pose that a search from `near` finds.
         """
         yaw, pitch, roll = target[3:]
         R = rotation_z(yaw) @ rotation_from_vector([0.0, -pitch, 0.0]) @ rotation_from_vector([roll, 0.0, 0.0])

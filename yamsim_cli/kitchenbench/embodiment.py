@@ -111,7 +111,7 @@ class YamsimEmbodiment:
         depth: whether `extra` of observations has `<camera>_depth` (height, width), float32, m along the optical axis,
             0 where nothing is, and `<camera>_intrinsics` (3, 3), float32.
         control_interface: "joints", or "eef_pos" for hand poses. The names, bounds and frames of its actions, of the
-            state `eef_state`, and the start posture are those of `inspect-robots-yam`.
+            state `eef_state`, and the start posture are the same as in `inspect-robots-yam`.
         eef_orientation: whether pitch and roll of hand poses may vary.
 
     Raises:

@@ -120,7 +120,7 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
 def _put_beside(
     places: dict[str, Array], room: Mapping[str, Array], name: str, other: str, gap: float = _BESIDE_GAP
 ) -> None:
-    """Displace an object along y until its footprint is `gap` or more from that of `other`, m.
+    """Displace an object along y until its footprint is `gap` or more from the footprint of `other`, m.
 
     A lid on its container would count as sealed, and a source must not stand in the vessel.
     """

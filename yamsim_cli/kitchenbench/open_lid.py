@@ -211,7 +211,7 @@ def _can_approach(context: PlanningContext, steady: _Reach, thing: str, grip: _R
 def _possible_turns(grips: Sequence[_Reach]) -> Iterator[list[_Reach]]:
     """Yield turns of a hand around a lid, each as its grasps in steps of `_TURN_STEP`, as far as the arm reaches.
 
-    Grasps that a turn includes begin no turn of their own.
+    Grasps that a turn includes do not begin a turn.
     """
     included: list[Array] = []
     for grip in grips:

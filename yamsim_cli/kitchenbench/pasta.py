@@ -1,4 +1,4 @@
-"""Pasta in KitchenBench's scenes of pouring and scooping: what holds it, its pieces, and how coarse they are.
+"""Pasta in KitchenBench's scenes of pouring and scooping: its container, its pieces and their sizes.
 
 A scene of pouring names the object that is full of pasta, and gives the mass. A scene of scooping names only a pile,
 and the pile's object is then a dish with pasta in it.
@@ -50,7 +50,7 @@ def is_pile(item: SceneObject) -> bool:
 
 
 def is_body(item: SceneObject) -> bool:
-    """Whether a blueprint's object is a body of its own: no compartment of a tray, and no substance in another one."""
+    """Whether a blueprint's object is a separate body: not a compartment of a tray or a substance in another body."""
     return item.asset != COMPARTMENT and (item.asset not in _PIECE_CONFIGS or is_pile(item))
 
 
@@ -125,7 +125,7 @@ def _thick_enough(piece: ObjectConfig, grams: float, most: int, thinner: bool) -
 
 
 def describe_coarse_pieces(filled: str, filling: Filling, blueprint: SceneBlueprint, locations: Locations) -> str:
-    """Return how the pieces in `filled` differ from those of their asset, as a sentence, or ""."""
+    """Return how the pieces in `filled` differ from the pieces of their asset, as a sentence, or ""."""
     item = next(one for one in blueprint.objects if one.asset in _PIECE_CONFIGS and filled in (one.parent, one.name))
     nominal = load_config(ObjectConfig, "objects", _PIECE_CONFIGS[item.asset], locations)
     data: dict[str, Any] = shape_data(nominal)

@@ -43,7 +43,7 @@ _CUP_AZIMUTHS = 8
 _CUP_SHARES = (0.5, 0.6, 0.7)  # heights of that hand, as shares of the cup's height: near its centre of mass
 _SPOON_FORCE = 18.0  # N of each finger, command for the handle; the drive gives 11 N at this width
 _SPOON_CLEARANCE = 0.010  # m, additional opening of each finger before closing; no other value is recorded
-# rad, from the heading of a stroke to that of the tool over a vessel, in the order tried: small turns need few actions
+# rad, from the heading of a stroke to the tool's heading over a vessel, in order of trial: small turns need few actions
 _RELEASE_TURNS = tuple(math.radians(turn) for turn in (0, -30, 30, -60, 60, -90, 90, 120, -120, 150, -150, 180))
 _ROLLS = (0, 1, -1)  # the side to which a spoon rolls over a vessel; 0 for one that tilts down by its tip
 _SPOON_ANGLES = tuple(math.radians(angle) for angle in range(0, 106, 15))  # rad, of a spoon's tilt: it begins level

@@ -141,7 +141,7 @@ def _rotations_along(local_box: Array, orientation: Array, T: Array) -> list[Arr
 
 
 def _orientations(world: SimWorld, thing: str) -> list[Array]:
-    """Return rotations (3, 3), up to the heading, to put an object down: upright and as it is now."""
+    """Return rotations (3, 3), up to the heading, to put an object down: upright and in the present orientation."""
     now = world.pose(thing)[:3, :3]
     upright = rotation_z(yaw(world.pose(thing)))
     return [upright] if now[2, 2] > _UPRIGHT_COSINE else [upright, now] if now[2, 2] > _TILTED_COSINE else [now]

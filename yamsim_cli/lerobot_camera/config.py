@@ -15,7 +15,7 @@ class YamsimCameraConfig(CameraConfig):
     Attributes:
         camera: as `serve-robot` prints it, such as "top".
         folder: value of `serve-robot --folder`.
-        fps, width, height: expected, Hz and px; by default those of the server.
+        fps, width, height: expected, Hz and px; by default the server's values.
     """
 
     camera: str

@@ -27,7 +27,7 @@ _GRID = {20.0: 16, 40.0: 14, 60.0: 9, 80.0: 4}  # degrees above the horizontal -
 # Degrees between a direction and its eight neighbours -> from how many of the best directions.
 _REFINEMENTS = {11.0: 4, 6.0: 3, 3.0: 1}
 # Sigma of a blur, as a share of the width, with which the table's shadows are compared before the last refinement: the
-# thin shadow of an arm does not overlap with that of a light which is 10 degrees away.
+# thin shadow of an arm does not overlap with the shadow of a light that is 10 degrees away.
 _BLUR = 0.03
 _LOWEST, _HIGHEST = 5.0, 89.0  # degrees above the horizontal, between which a light is
 _TRIM = 0.9  # share of pixels that the fit keeps: highlights and wrong outlines are no shading
@@ -63,7 +63,7 @@ class LightFit:
 
 @dataclass(frozen=True)
 class _Basis:
-    """Of one photo: its colours on arms and table, and those of ambient light and headlight, each (n, 3)."""
+    """Of one photo: its colours on arms and table, and the colours of ambient light and headlight, each (n, 3)."""
 
     photo: StationPhoto
     arms: NDArray[np.bool_]
@@ -187,7 +187,7 @@ def _fit_channel(seen: Array, ambient: Array, diffuse: Array, headlight: Array) 
 
 
 def _table_error(surfaces: Sequence[Sequence[Array]], least: Array) -> float:
-    """Return the mean difference of the table's colours to those of an evenly coloured table, of 255.
+    """Return the mean difference between the table's colours and an evenly coloured table, of 255.
 
     Its brightness in ambient and in directional light is fitted. The depth of shadows is free, but directional over
     ambient light is at least `least` (3,), one for each colour.

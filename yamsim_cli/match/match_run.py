@@ -176,7 +176,7 @@ def match_station(
 def _render_scene(
     rig: RigConfig, scene: SceneConfig, quality: RenderConfig, size: tuple[int, int], locations: Locations
 ) -> StationRenderer:
-    """Return the renderer of a scene's own camera, as recordings have it."""
+    """Return the renderer of a scene's own camera, as in recordings."""
     widened = scene.widened_for_arm_distance(rig.arm_span)
     assert widened.scene_camera is not None
     return StationRenderer(rig, widened, quality, fixed_camera(SCENE_CAMERA, widened.scene_camera), size, locations)

@@ -53,7 +53,7 @@ def table_photo(
         white_table: what a white table would look like in the same light.
         on_table: where the table's surface is seen (height, width).
 
-    What the plate does not show gets the mean colour. Returns None if the plate shows too little of the table.
+    Parts that the plate does not show get the mean colour. Returns None if the plate shows too little of the table.
     """
     half_x, half_y, _ = table.half_size
     columns, rows = max(2, round(2 * half_x / _TEXEL)), max(2, round(2 * half_y / _TEXEL))

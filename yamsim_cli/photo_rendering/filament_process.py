@@ -1,7 +1,7 @@
-"""Runs Filament in a process of its own, which ends when its parent closes the connection or ends for any reason.
+"""Runs Filament in a separate process, which ends when its parent closes the connection or ends for any reason.
 
 Filament 4.0.0 with Mesa's Vulkan driver keeps 1 to 1.5 MB of memory of each rendering until its process ends. So the
-process is replaced when it has grown too large. A driver that aborts ends this process, and not that of the caller.
+process is replaced when it has grown too large. A driver that aborts ends this process, not the caller's.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ def _used_bytes() -> int:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
     except OSError:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    # On Linux, the largest memory that `getrusage` gives begins with that of the parent.
+    # On Linux, the largest memory that `getrusage` gives begins with the memory of the parent.
     return pages * resource.getpagesize()
 
 

@@ -54,7 +54,7 @@ class PolicyServer(ThreadingHTTPServer):
         require_library("a policy in another process", "msgpack", "remote")
         self._make, self.host = make_policy, host
         self._sessions: dict[str, Any] = {}
-        # Most models do not support calls from two threads at once.
+        # Most models do not support simultaneous calls from two threads.
         self._one_at_a_time = threading.Lock()
         try:
             super().__init__((host, port), _Handler)

@@ -1,7 +1,7 @@
 """Draw a dataset: render its stored states again, with other images, and the same physics.
 
-The workers, the order of writing and the treatment of faults are those of a recording, see `collect`. An attempt keeps
-its number, so episode k shows the states of episode k.
+The workers, the order of writing and the treatment of faults are the same as in a recording, see `collect`. An attempt
+keeps its number, so episode k shows the states of episode k.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class EpisodeDrawer(Closable):
         return AttemptPayload(attempt, Outcome(True), files, len(frames), content_hash(drawn), versions, renderer)
 
     def _with_look(self, simulator: Simulator, stored: Attempt, positions: Sequence[Array]) -> Attempt:
-        """Return the attempt with the variation of the config's look; what affects physics stays as it is."""
+        """Return the attempt with the variation of the config's look; values that affect physics do not change."""
         if self._source.keeps_variation:
             return stored
         placer, variation = simulator.distractor_placer, sample_variation(simulator.config, stored.job)
@@ -129,7 +129,7 @@ class EpisodeDrawer(Closable):
 
 
 def with_physics_of(stored: RandomizationSample, look: RandomizationSample) -> RandomizationSample:
-    """Return the samples of `look`, with those of `stored` that affect physics."""
+    """Return the samples of `look`, but the samples of `stored` that affect physics."""
     return replace(look, **{part: getattr(stored, part) for part in (*PHYSICS_PARTS, "pushes")})
 
 

@@ -1,4 +1,4 @@
-"""The config of a drawn dataset: that of its source with other images, and the same physics."""
+"""The config of a drawn dataset: the source's config with other images and the same physics."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _DISTANCE = (0.6, 1.3)  # of the scene camera's distance; nearer views cut off t
 _FOVY = (40.0, 65.0)  # degrees, of random views; the D405 has 58
 _TARGET_SHIFT = 0.05  # m along each axis, by which the target of a random view differs from the scene camera's
 _DIGITS = 6  # decimal places of a random view's figures: 1 um
-_VIEWS_STREAM = 1001  # keeps the seeds of views apart from those of attempts, whose second number is an attempt
+_VIEWS_STREAM = 1001  # separates the seeds of views from the seeds of attempts, whose second number is an attempt
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,10 @@ class DrawChanges:
 
     Attributes:
         values: keys of the record config -> new values.
-        cameras: names of the cameras to draw; None for those of the source.
+        cameras: names of the cameras to draw; None for the source's cameras.
         views: number of random views, in addition.
         fixed_cameras: further cameras, in addition.
-        look: number of the look; None to keep that of the source.
+        look: number of the look; None to keep the source's look.
     """
 
     values: Mapping[str, Any]

@@ -137,7 +137,7 @@ def _require_listener(address: str) -> None:
 
 @contextlib.contextmanager
 def _restore_signal_handlers() -> Iterator[None]:
-    """Restore signal handlers after the block, because Ray replaces that of SIGTERM."""
+    """Restore signal handlers after the block, because Ray replaces the handler of SIGTERM."""
     before = {number: signal.getsignal(number) for number in STOP_SIGNALS}
     try:
         yield

@@ -1,4 +1,4 @@
-"""What differs between two datasets: a test for each value that both know, and the episodes of equal starts."""
+"""Differences between two datasets: a test for each value that both have, and the episodes with equal starts."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ class DecisionFile(Closable):
         """Store the decision on an episode, and return it; None if nothing is decided any more.
 
         Args:
-            values: `decision`, `first_frame`, `last_frame`, `tags` and `note`; missing ones are those of no decision.
+            values: `decision`, `first_frame`, `last_frame`, `tags` and `note`; a missing value means no decision.
 
         Raises:
             UsageError: a value is invalid.

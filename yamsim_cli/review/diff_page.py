@@ -1,4 +1,4 @@
-"""The page on what differs between two datasets."""
+"""The page on differences between two datasets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a dataset knows about each of its episodes, for the overview of the review page."""
+"""The values of each episode of a dataset, for the overview of the review page."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..core.errors import ConfigError, DatasetError
 
 _MAX_REPORT_BYTES = 500_000_000  # bytes of a report of `yamsim summarize --json`
 
-# Names of columns for people; others are shown as they are.
+# Names of columns for people; other names are shown unchanged.
 COLUMN_NAMES = {
     "episode": "number",
     "frames": "frames",

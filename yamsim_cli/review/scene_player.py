@@ -1,4 +1,4 @@
-"""The 3D scene of an episode beside the review page: `yamsim replay` in a process of its own."""
+"""The 3D scene of an episode beside the review page: `yamsim replay` in a separate process."""
 
 from __future__ import annotations
 

@@ -17,37 +17,37 @@ from ..core.files.writing import describe_refusal, write_file
 _VALID_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 _TEMPLATE = """\
-# The task {name}: try it with `yamsim tasks check {name}.yaml`, record it with `yamsim record --task {name}.yaml`.
+# The task {name}. To check it: `yamsim tasks check {name}.yaml`. To record it: `yamsim record --task {name}.yaml`.
 kind: program
-# The rig where nobody gives --rig; `yamsim robots list` and configs/rigs have others.
+# The rig without the flag --rig. `yamsim config list` and `yamsim robots list` print other rigs and robots.
 rig: yam_station_linear_4310_d405
 
-# Role -> the objects that may play it; one of them is drawn for each attempt. `count: 2` makes two things of a role.
+# Role -> possible objects, of which one is sampled for each attempt. With `count: 2`, two objects have the role.
 things:
   plate: {{of: kitchen_plate}}
   cube: {{of: [cube_red, cube_green, cube_blue]}}
 
-# Role -> the region where it starts, in `world`: x ahead of the arms, y to the left, m; headings in degrees.
+# Role -> region of the starts, in `world`: x ahead of the arms, y to the left, m; headings in degrees.
 starts:
   plate: {{x: [0.34, 0.42], y: [-0.20, -0.10]}}
   cube: {{x: [0.28, 0.42], y: [0.06, 0.20], yaw_deg: [-45, 45]}}
 
-# What recordings say, one of these for each episode; no recording says what is held out.
+# Instructions. Each recorded episode has one of `training`. Recordings never use `held_out`.
 phrasings:
   training: [put the cube onto the plate, place the cube on the plate]
   held_out: [the cube belongs on the plate]
 
-# When it is done: predicates, joined by `all`, `any` and `not`; `for_s` is how long it has to hold at the end, s.
+# Condition of success: predicates, combined by `all`, `any` and `not`. `for_s` is the hold time at the end, s.
 goal:
   all:
     - {{on: {{thing: cube, surface: plate}}}}
   for_s: 0.5
 
-# What does not count, for `yamsim tasks check` to try on a success: a thing moved along x, y and z, m.
+# Displacements (x, y and z, m) that turn a success into a failure, for `yamsim tasks check`.
 near_misses:
   - {{thing: cube, what: in the air, move: [0, 0, 0.05]}}
 
-# The skills of the expert, in order. `yamsim tasks show NAME` shows those of other tasks.
+# The skills of the expert, in order. `yamsim tasks show NAME` shows the skills of other tasks.
 expert:
   - pick: {{thing: cube}}
   - place: {{thing: cube, on: plate}}

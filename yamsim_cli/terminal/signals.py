@@ -38,8 +38,8 @@ def defer_signals() -> Iterator[Callable[[], bool]]:
 def stop_on_signal(message: str) -> Iterator[StopRequest]:
     """Yield a stop request that the first signal or a closed terminal sets. The second raises KeyboardInterrupt.
 
-    In an `uninterrupted` block of the request, the second raises at the end of the block, and the third at once. Only
-    the first prints `message`.
+    In an `uninterrupted` block of the request, the second raises at the end of the block, and the third immediately.
+    Only the first prints `message`.
     """
     from yamsim_cli.core.workers.stop_request import StopRequest
 

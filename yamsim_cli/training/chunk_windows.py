@@ -27,7 +27,7 @@ class ChunkWindows:
     - "action" (chunk, drives + arms), float32: `ctrl`, rad and m, and then `magnet`, 0 or 1, of each frame from k on
     - "is_padding" (chunk,), bool: whether the episode has ended before that action. Its row repeats the last action
 
-    A batch has a first axis for the windows. `torch.utils.data.DataLoader` takes the object as it is; PyTorch is not
+    A batch has a first axis for the windows. `torch.utils.data.DataLoader` takes the object directly; PyTorch is not
     needed otherwise. The images are decoded once, into a cache of memory-mapped files, which all processes share.
 
     Attributes:

@@ -18,7 +18,7 @@ from yamsim_cli.core.dataset.reader import StoredEpisode, StoredEpisodes
 from yamsim_cli.core.errors import DatasetError, ResourceError, UsageError
 from yamsim_cli.core.files.writing import sha256_bytes, staged_directory
 
-_FORMAT = 1  # of a cache; a change makes caches anew
+_FORMAT = 1  # of a cache; caches of another format are made again
 _NAME_CHARACTERS = 16  # of the hash in a cache's name: no two of a user's datasets share 64 bits
 
 

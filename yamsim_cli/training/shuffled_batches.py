@@ -1,4 +1,4 @@
-"""Shuffled batches whose order depends on the seed and the epoch alone."""
+"""Shuffled batches whose order depends only on the seed and the epoch."""
 
 from __future__ import annotations
 

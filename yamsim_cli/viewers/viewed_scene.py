@@ -19,7 +19,7 @@ class ViewedScene(abc.ABC):
     Attributes:
         title: of the browser tab.
         model, data: the scene and its state. After `model` is replaced, a page shows the new model.
-        lock: held while the state is changed or read. The controls of a page run in threads of their own.
+        lock: held while the state is changed or read. The controls of a page run in separate threads.
     """
 
     title: str

@@ -73,7 +73,7 @@ class RealtimeChunking(Config):
         prefix_key: key of the last planned actions (length, numbers), float32.
         length_key: key of their number.
         length: number of these actions. An answer begins with them, and they are not executed again.
-        execute: executed actions of an answer, after those.
+        execute: number of actions of an answer that are executed after these.
         lead: actions of the current chunk that are left when the next chunk is requested.
     """
 
@@ -105,7 +105,7 @@ class PolicyConfig(Config):
         time: key of the time since the trial's start, s.
         seed: key of the trial's seed.
         constants: key -> constant value in every observation.
-        realtime_chunking: how chunks continue each other; if left out, each chunk is for its own observation alone.
+        realtime_chunking: how a chunk continues the chunk before; if left out, it depends only on its observation.
         trained_on: dataset or export that the policy was trained on; `eval` uses its image size and quality.
     """
 

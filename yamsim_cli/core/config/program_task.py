@@ -66,7 +66,7 @@ class Filling(Config):
 class Role(Config):
     """The objects of a role, each sampled from a list of object configs.
 
-    A config is sampled again only after all others: a count as long as the list uses each config once, in random order.
+    A config is sampled again only after all others: with a `count` equal to the list's length, each is used once.
 
     Attributes:
         of: the object configs to sample from.
@@ -123,7 +123,7 @@ class ObjectStartRanges(Config):
         from_arm: if given, `y` is relative to the world y of this arm, see `RigConfig.margin`.
         yaw_deg: range of the heading.
         attitudes: possible stable poses of an object, equally probable.
-        apart: least gap, seen from above, between an object's outline and those of objects placed before, m.
+        apart: least gap, seen from above, between an object's outline and the outlines of objects placed before, m.
         open: part of an articulated object -> range of its opening as a share; other parts are closed.
         crumpled: range of the height from which a cloth is dropped by one point, as a share of its half diagonal.
             Crumpling is light at 0.3 and moderate at 0.6. If left out, the cloth lies flat.
@@ -263,7 +263,7 @@ class ProgramTask(Config):
         near_misses: displacements that must not count as success, for `yamsim tasks check`.
         expert: list of skills that perform the task, each a mapping with one key; see `core.expert.skills.program`.
         time_limit_s: largest duration of an attempt, s of simulated time.
-        start_joints: joints of the arms at the start, rad; if left out, those of their robot model.
+        start_joints: joints of the arms at the start, rad; if left out, the robot model's start joints.
         arms: the arms that act: all, or only `RecordConfig.arm`.
         grasps: possible grasps, the default first.
         held_at_the_end: whether hands hold long objects far from the middle. Contacts are then ten times as stiff along

@@ -45,7 +45,7 @@ class DrawnFrom(Config):
 
 
 class CameraEffectsEntry(Config):
-    """Lens and sensor of one recorded camera, or of all without an own entry if `camera` is left out."""
+    """Lens and sensor of one camera; if `camera` is left out, of all cameras without their own entry."""
 
     camera: Name | None = None
     effects: Annotated[CameraEffects, ConfigReference("camera_effects")]
@@ -55,7 +55,7 @@ class RecordConfig(Config):
     """The config of `yamsim record` and `yamsim trials`.
 
     Attributes:
-        arm: side of the arm that does or begins the task; a rig's only arm always does.
+        arm: side of the arm that performs or begins the task; the only arm of a rig always does.
         grasp: "weld" holds objects by a constraint that is active during the grasp, as with the lab's magnet. "contact"
             holds objects only by friction between pads. "cloth_constraint", for exactly the tasks with cloth, holds
             objects by friction, and cloth by a constraint between both closed fingers, see `core.sim.cloth`. If left

@@ -58,7 +58,7 @@ class RealEpisodeRecord(Record):
 
 
 def is_imported_dataset(dataset: Path) -> bool:
-    """Return whether the config of a dataset says that its episodes are imported recordings."""
+    """Return whether the config of a dataset states that its episodes are imported recordings."""
     try:
         data = parse_yaml((dataset / CONFIG_FILE).read_text(encoding="utf-8"), str(dataset / CONFIG_FILE)).data
     except (OSError, UnicodeDecodeError, ConfigError):

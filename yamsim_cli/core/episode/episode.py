@@ -253,7 +253,7 @@ class Episode:
         self.end_tick()
 
     def _commands(self, ctrl: Array) -> Array:
-        """Return the commands (nu,) of all drives, given those of the recorded drives (arms, drives)."""
+        """Return the commands (nu,) of all drives, given the commands of the recorded drives (arms, drives)."""
         command = np.empty(self.scene.model.nu)
         command[self.scene.recorded_drive_ctrl] = ctrl
         return command

@@ -70,7 +70,7 @@ class Locations:
         return cls(data=(*roots, _built_in_data_folder()), assets=assets)
 
     def find_data_file(self, relative: str) -> Path:
-        """Return the file at `relative` in the first data root that has it. Raises ResourceError if none has."""
+        """Return the file at `relative` in the first data root that has it. Raises ResourceError if no root has it."""
         for root in self.data:
             if (root / relative).is_file():
                 return root / relative

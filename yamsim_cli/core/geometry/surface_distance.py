@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from .se3 import Array
 from .stl import Faces
 
-_POINTS_PER_BATCH = 200  # points that are compared at once with the triangles near them
+_POINTS_PER_BATCH = 200  # points that are compared in one call with the triangles near them
 _CELLS_PER_SIDE = 16  # grid cells, by which points are grouped, along the longest side of their bounding box
 
 

@@ -1,7 +1,7 @@
 """Draws the part of a camera's image that has changed, with the same pixels as `mjr_render`.
 
 `mjr_render` draws the whole image, and the shadow map again for each camera. Here OpenGL's scissor test limits drawing
-to a rectangle of the image and of the shadow map. It leaves rasterization as it is, so each pixel in the rectangle has
+to a rectangle of the image and of the shadow map. It does not change rasterization, so each pixel in the rectangle has
 exactly the value that `mjr_render` gives it. Framebuffers, textures, meshes and primitives belong to `MjrContext`.
 Source of the passes and of OpenGL's states: `mjr_render` in MuJoCo's `render_gl3.c`.
 """

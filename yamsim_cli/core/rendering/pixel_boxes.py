@@ -148,7 +148,7 @@ class ShadowVolumes:
     def hull_points(self, grown: Array) -> Array:
         """Return points (n, 16, 3) whose hull contains the shadows of boxes with the corners `grown` (n, 8, 3), m.
 
-        The boxes are those of the geoms, larger by `margin`.
+        The boxes enclose the geoms, and are larger by `margin`.
         """
         reach = np.maximum(grown[..., 2] - self.lowest_plane, 0) / -self.direction[2]
         for table in self.tables:

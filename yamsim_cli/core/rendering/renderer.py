@@ -63,7 +63,7 @@ def _enter_opengl() -> None:
 
 GeomIds = NDArray[np.int32]
 
-_MAX_GEOMS = 10_000  # geoms that can be rendered; no scene has as many
+_MAX_GEOMS = 10_000  # geoms that can be rendered; more than any scene has
 _FONT = mujoco.mjtFontScale.mjFONTSCALE_150.value
 # Plain integers, because NumPy does not accept enums as indices.
 _SEGMENTATION_FLAGS = [int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR)]

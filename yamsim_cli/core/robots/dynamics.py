@@ -40,7 +40,7 @@ class MeasuredArmDynamics(Config):
         base: name of the robot model whose values these dynamics replace.
         side: `left` or `right`, the arms of a rig that have these dynamics; if left out, all arms of the model.
         source: description of the recordings from which the values were identified.
-        joints: joint -> its dynamics; other joints keep those of the model.
+        joints: joint -> its dynamics; other joints keep the model's dynamics.
         command_delay_ms: delay between a command and its effect.
         sensor_delay_ms: age of the encoders' readings.
         sensor_noise_rad: standard deviation of a joint's reading.

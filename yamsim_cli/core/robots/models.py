@@ -51,7 +51,7 @@ class Mjcf(Config):
     Attributes:
         file: path of the file.
         text: the MJCF with its includes expanded.
-        includes: whether the file includes others; if so, line numbers of `text` differ from those of the file.
+        includes: whether the file includes others; if so, line numbers of `text` differ from the file's.
     """
 
     file: str

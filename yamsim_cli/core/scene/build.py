@@ -24,7 +24,7 @@ from .compilation import compile_spec
 from .compiled import ArmAddresses, ClothAddresses, CompiledScene, FingerAddresses, GeomOwnerKind, Ids
 from .compose import READING_SUFFIX, WELD_NAME, compose_scene, visual_mesh_sets
 
-TIMESTEP = 0.002  # s, of physics for a rig without a task; equal to that of tasks
+TIMESTEP = 0.002  # s, of physics for a rig without a task; equal to the step of tasks
 _MOUNT_MESHES_KEY = "mounts"  # key, among the asset sets, of the board mounts whose STL file a user supplies
 
 

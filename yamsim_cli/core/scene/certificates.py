@@ -105,7 +105,7 @@ def _certificate_path(assets: Path, item: ObjectConfig, inputs: str) -> Path:
 
 
 def _older_certificates(path: Path, item: ObjectConfig) -> list[Path]:
-    """Return an object's certificate files for any config and meshes, the newest first and that of 0.2.0 last.
+    """Return an object's certificate files for any config and meshes, the newest first and the one of 0.2.0 last.
 
     Up to version 0.2.0, file names had no content hash, and imports of different files under one name shared a file.
     """

@@ -20,7 +20,7 @@ _GRASP_SOLIMP = (0.999, 0.9999)
 _CONDIM = 3  # normal and tangential forces
 # CG solver. With MuJoCo's 1e-8, a fold of 21 x 21 points takes a third longer, for less than 0.02 mm.
 _TOLERANCE = 1e-6
-_INERTIA_PER_MASS = 1e-6  # m2, of a point, about that of a 1 mm ball; no torque acts on points
+_INERTIA_PER_MASS = 1e-6  # m2, of a point, about the inertia of a 1 mm ball; no torque acts on points
 
 
 def flat_points(cloth: Cloth) -> Array:

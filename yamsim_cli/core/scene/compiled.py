@@ -277,7 +277,7 @@ class CompiledScene:
     def step(self, data: mujoco.MjData, steps: int = 1) -> None:
         """Step physics. Use only this method to step a scene.
 
-        It applies each joint's gravity compensation error: MuJoCo's own `gravcomp` scales that of a body, not of a
+        It applies each joint's gravity compensation error: MuJoCo's own `gravcomp` is for a body, not for a
         joint.
         """
         if not self.gravity_errors:

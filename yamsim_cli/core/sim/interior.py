@@ -34,7 +34,7 @@ class Interior:
     - down, up, and in at least one of each two opposite horizontal directions, as in a cupboard with an open front.
 
     The space under or in the loop of a mug's handle is therefore not inside. The body's solid parts count as inside,
-    because no other object can be there. Rays pass through gaps in walls, such as those between wires.
+    because no other object can be there. Rays pass through gaps in walls, such as the gaps between wires.
     """
 
     def __init__(self, surface: Surface) -> None:

@@ -1,4 +1,4 @@
-"""Placement of distractors where no motion of an attempt comes near, and a collision check for arm postures."""
+"""Placement of distractors away from all motions of an attempt, and a collision check for arm postures."""
 
 from __future__ import annotations
 

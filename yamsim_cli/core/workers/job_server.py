@@ -1,4 +1,4 @@
-"""The server in a worker's process. Few imports let a new process soon ignore stop signals and watch its parent."""
+"""The server in a worker's process. With few imports, it soon ignores stop signals and watches its parent."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ class ProcessPool(BaseWorkerPool[J, R]):
         atexit.register(self.close)
 
     def close(self) -> None:
-        """End all processes at once, even during a job."""
+        """End all processes immediately, even during a job."""
         super().close()
         atexit.unregister(self.close)
 

@@ -9,7 +9,7 @@ class StopRequest:
     """A request to end a job, which the job checks between two steps.
 
     A signal handler or another thread makes the request; no request is withdrawn. A signal handler asks
-    `postpone_interrupt` whether a later signal may interrupt the job at once.
+    `postpone_interrupt` whether a later signal may interrupt the job immediately.
     """
 
     def __init__(self) -> None:

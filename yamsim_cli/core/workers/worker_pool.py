@@ -75,7 +75,7 @@ class Worker(Protocol[JobIn]):
         ...
 
     def kill(self) -> None:
-        """End the worker at once, and wait for its end."""
+        """End the worker immediately, and wait for its end."""
         ...
 
 

@@ -30,7 +30,7 @@ class BodyPicture:
     Attributes:
         bodies: (height, width), the visible body's id, 0 for the background.
         depth: (height, width), its z in the camera frame, m.
-        fine_bodies: the same as `bodies` with `step` times as many rows and columns, of which each `step`-th lies on a
+        fine_bodies: the same as `bodies` with `step` times the rows and columns, of which each `step`-th lies on a
             pixel's centre.
     """
 

@@ -34,7 +34,7 @@ _MIN_SAMPLES = 4  # photos; with fewer, one outlier dominates the median
 _MIN_STRENGTH = 45.0
 _MAX_SAMPLE_COST = 6.0  # standard deviations a sample counts for, so that one wrong pose is no step
 _SIGMA_PER_MAD = 1.4826  # standard deviation over median absolute deviation, normal noise
-_MEDIAN_VARIANCE_RATIO = np.pi / 2  # variance of a median over that of a mean, normal samples
+_MEDIAN_VARIANCE_RATIO = np.pi / 2  # variance of a median divided by the variance of a mean, normal samples
 
 
 class MovedBody(StrEnum):

@@ -134,7 +134,7 @@ def episode_photos(
 ) -> list[Photo]:
     """Return an episode's photos from one camera, by default the first that is no wrist camera.
 
-    With `placed`, the camera and the arms are where it says, and the frames need neither intrinsics nor extrinsics.
+    With `placed`, the camera and the arms have its poses, and the frames need neither intrinsics nor extrinsics.
 
     Raises:
         DatasetError: the directory is no episode or has no pictures, or a frame is damaged.

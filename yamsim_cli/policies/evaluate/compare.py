@@ -17,7 +17,7 @@ _MAX_BYTES = 500_000_000  # largest size of a report's file
 
 
 def read_compared_reports(others: Sequence[str], settings: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return those of `others` that are reports `FILE.json`, by name.
+    """Return the reports `FILE.json` among `others`, by name.
 
     Args:
         settings: `_SHARED_KEYS` and their values, of the evaluation that is compared.
@@ -99,7 +99,7 @@ def read_report(path: Path) -> dict[str, Any]:
 
 
 def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any], name: str) -> None:
-    """Refuse two evaluations that differ in task, rig, grasp, arms or seed; `name` is that of `--compare`."""
+    """Refuse two evaluations that differ in task, rig, grasp, arms or seed; `name` is the value of `--compare`."""
     for key in _SHARED_KEYS:
         if expected[key] != report[key]:
             raise UsageError(
@@ -110,7 +110,7 @@ def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any], 
 def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any], name: str) -> dict[str, Any]:
     """Compare two reports trial by trial, and return counts of successes as JSON data.
 
-    `name` is that of `--compare`, a policy or a file, for error messages.
+    `name` is the value of `--compare`, a policy or a file, for error messages.
     `policy` and `success_rate` are of the second report. `difference` is the success rate of the first report minus
     that of the second, with its 95 % interval `difference95` and McNemar's exact `p_value`. `settings_differ` has each
     setting with unequal values, as [first, second].

@@ -1,4 +1,4 @@
-"""Evaluate a policy and those it is compared with: what the command `eval` and the function `evaluate` share."""
+"""Evaluate a policy and the policies to compare: code of the command `eval` and the function `evaluate`."""
 
 from __future__ import annotations
 

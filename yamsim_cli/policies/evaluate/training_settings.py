@@ -30,7 +30,7 @@ class TrainingSettings:
         source: the dataset or export, as in messages.
         size_px: width and height.
         quality: values of the rendering quality, as in the key `render` of a recording's `config.yaml`.
-        names: those of the rig, the task and the grasp.
+        names: the names of the rig, the task and the grasp.
     """
 
     source: str
@@ -39,7 +39,7 @@ class TrainingSettings:
     names: Mapping[str, str]
 
     def defaults(self, size: Any, quality: str | None) -> dict[str, Any]:
-        """Return `size` and `quality` for a session: the given ones, or those of the training dataset."""
+        """Return `size` and `quality` for a session: the given values, or the values of the training dataset."""
         return {
             "size": list(self.size_px) if size is None else size,
             "quality": dict(self.quality) if quality is None else quality,
@@ -73,7 +73,7 @@ def find_training_settings(
 ) -> TrainingSettings | None:
     """Return the settings of the dataset that a policy was trained on; None if nothing names the dataset.
 
-    The dataset is `trained_on`, or else `trained_on` of the policy's config, or else that of a LeRobot checkpoint.
+    The dataset is `trained_on`, or else `trained_on` of the policy's config, or else a LeRobot checkpoint's dataset.
     Relative paths are in `folder`.
 
     Raises:
@@ -105,7 +105,7 @@ def _read_settings(dataset: Path, folder: Path, locations: Locations) -> Trainin
 
 
 def _read_checkpoint_settings(checkpoint: Path, folder: Path) -> TrainingSettings | None:
-    # The training's export may be on another machine; then the checkpoint does not say how images were rendered.
+    # The training's export may be on another machine; then the checkpoint does not state how images were rendered.
     try:
         root = json.loads((checkpoint / _TRAIN_CONFIG).read_bytes())["dataset"]["root"]
         return _read_export_settings(folder / root, str(root)) if isinstance(root, str) else None

@@ -35,7 +35,7 @@ class PlantParameters:
         armature: motor inertia at the joint, kg m2.
         offset: measured position when the drive holds 0, rad.
         gravity: factor of gravity torque in the gravity compensation.
-        friction_velocity: speed of full friction, rad/s. Real friction does not reverse at once when a joint stops:
+        friction_velocity: speed of full friction, rad/s. Real friction does not reverse immediately when a joint stops:
             with 0, a fit finds too little friction.
     """
 

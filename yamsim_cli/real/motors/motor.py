@@ -297,7 +297,7 @@ class Motor:
         return None if value is None else self._register_answer(bytes([access, register]) + value)
 
     def _register_answer(self, content: bytes) -> CanFrame:
-        # A new identifier applies at once.
+        # A new identifier applies immediately.
         return CanFrame(int(self.registers[MST_ID]), self.command_id.to_bytes(2, "little") + content)
 
     def _update_range(self) -> None:

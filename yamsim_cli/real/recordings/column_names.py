@@ -1,4 +1,4 @@
-"""Namings: configs that say which column of another program's recording is which joint or gripper."""
+"""Namings: configs that assign columns of another program's recordings to joints and grippers."""
 
 from __future__ import annotations
 

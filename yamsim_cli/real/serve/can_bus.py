@@ -104,7 +104,7 @@ class KernelBus:
             return
 
     def flush(self) -> None:
-        """Do nothing: `send` sends at once."""
+        """Do nothing: `send` sends immediately."""
 
     def close(self) -> None:
         """Close the socket."""

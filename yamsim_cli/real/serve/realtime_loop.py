@@ -1,4 +1,4 @@
-"""Step the simulation by the clock, and answer CAN frames on arrival."""
+"""Step the simulation in real time, and answer CAN frames on arrival."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ class ViewScene:
     def open_renderer(self) -> SceneRenderer:
         """Return a renderer of the views, which the caller must close."""
         # Programs that filter shadows also change most other pixels by 1 of 255, see `core.rendering.shadow_shaders`.
-        # Without them, images of a view stay comparable with those of earlier versions, byte by byte.
+        # Without them, images of a view remain comparable with images of earlier versions, byte by byte.
         return QualityRenderer(self.model, self.size, self.quality.model_copy(update={"smooth_shadows": False}))
 
 

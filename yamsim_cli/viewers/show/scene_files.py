@@ -1,6 +1,6 @@
 """Converts a composed scene to `scene.xml` and all files that the XML names.
 
-MuJoCo writes MJCF of its own version. This module translates it for MuJoCo 3.3, all later versions and dm_control. The
+MuJoCo writes MJCF for its own version. This module translates it for MuJoCo 3.3, all later versions and dm_control. The
 poses of `frame` elements are merged into their children, and values whose defaults differ between versions become
 explicit. A scene that 3.3 cannot express is an error.
 """

@@ -1,4 +1,4 @@
-"""Saves recordings during teleoperation, so that those of a killed session can be judged later."""
+"""Saves recordings during teleoperation, so that recordings of a killed session can be judged later."""
 
 from __future__ import annotations
 

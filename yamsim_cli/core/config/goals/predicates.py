@@ -333,7 +333,7 @@ class HeldBy(_PerObjectPredicate):
 
     Attributes:
         thing: a role.
-        arm: the side of the hand; "both" needs both hands at once.
+        arm: the side of the hand; "both" needs both hands at the same time.
     """
 
     IN_HAND: ClassVar[bool | None] = True
@@ -371,7 +371,7 @@ class HandedOver(_PerObjectPredicate):
 
 
 class WasHandedOver(_PerObjectPredicate):
-    """Each object went from one hand to the other in the air since the attempt began, and may lie down again.
+    """Each object went from one hand to the other in the air since the attempt began. It may lie down now.
 
     Attributes:
         thing: a role.

@@ -102,7 +102,7 @@ class HullPart(_MeshPart):
 
 
 class SdfPart(_MeshPart):
-    """A body of any form, also with hollows and holes, as a signed distance field; keys as of `HullPart`.
+    """A body of any form, also with hollows and holes, as a signed distance field, with the keys of `HullPart`.
 
     Contacts are exact and slow: MuJoCo finds contacts by gradient descent along the distance.
     """

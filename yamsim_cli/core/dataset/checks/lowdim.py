@@ -49,7 +49,7 @@ def expected_specs(
 ) -> dict[str, ValueSpec]:
     """Return flat key, such as `intrinsics[camera]`, -> required spec in a frame that yamsim records.
 
-    The arguments are those of an `EpisodeRecord`.
+    The arguments are fields of an `EpisodeRecord`.
     """
     float32 = str(np.dtype(np.float32))
     rows = frame_array_shapes(arms, drives, joint_actions=joint_actions)

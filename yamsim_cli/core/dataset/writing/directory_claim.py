@@ -240,7 +240,7 @@ def _is_same_file(descriptor: int, path: Path) -> bool:
 
 
 def require_same_config(dataset: Path, recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
-    """Raise ConfigError if the recorded configuration or meshes differ from those of the resumed recording."""
+    """Raise ConfigError if the recorded configuration or meshes differ from the resumed recording's."""
     changed = _config_differences(recorded, wanted)
     there, now = _meshes_in_config(recorded), _meshes_in_config(wanted)
     meshes = mesh_differences(there, now)

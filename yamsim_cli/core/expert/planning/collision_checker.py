@@ -95,7 +95,7 @@ class CollisionChecker:
             joints: (dof,) of the arm, rad.
             opening: of one finger, m.
             grasped: an object between the fingers, which the fingers may touch.
-            finger_clearance: least distance of the fingers from everything else, m; by default that of the arm.
+            finger_clearance: least distance of the fingers from everything else, m; by default the arm's clearance.
         """
         data = self._set_configuration(qpos, arm, joints, opening, attached)
         self._update_contacts(arm, None if attached is None else attached.thing)

@@ -59,7 +59,7 @@ class FastIkSolver:
         mujoco.mj_comPos(model, data)
         mujoco.mj_jacSite(model, data, self._jacobian[:3], self._jacobian[3:], self._site)
         self._jacobian[3:] *= _METRES_PER_RADIAN
-        # MuJoCo's arithmetic is faster than that of `geometry.se3`, and an attempt checks thousands of poses.
+        # MuJoCo's arithmetic is faster than `geometry.se3`, and an attempt checks thousands of poses.
         turned = T[:3, :3] @ data.site_xmat[self._site].reshape(3, 3).T
         mujoco.mju_mat2Quat(self._quat, turned.ravel())
         mujoco.mju_quat2Vel(self._turn, self._quat, 1.0)

@@ -52,7 +52,7 @@ class GraspCandidate:
         opening: of each finger when it touches the object, m.
         clearance: additional opening of each finger before closing and after release, m.
         force: of each finger, N.
-        finger_distance: least distance of the fingers from other objects, m; None for that of the whole arm.
+        finger_distance: least distance of the fingers from other objects, m; None for the arm's distance.
     """
 
     T_pinch_in_thing: Array

@@ -51,7 +51,7 @@ _TURNED_SEARCH_ORDER = (
 # success takes half a second, and an object in a pile has hundreds of grasps.
 _MAX_POSE_SEARCHES = 24
 
-_BATCH_SIZE = 256  # grasps whose poses are tested in one call; the fixed cost of a call is that of 200 poses
+_BATCH_SIZE = 256  # grasps whose poses are tested in one call; the fixed cost of a call equals the cost of 200 poses
 
 # rad, rolls of the object about the line between hands that face each other, in the order tried
 _OBJECT_ROLL_ANGLES = tuple(math.radians(angle) for angle in (0, 90, 180, -90))

@@ -34,7 +34,7 @@ _YAW_ANGLES = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -
 
 
 class PlaceSkill(Skill):
-    """Base class of the skills that put down a held object; `goal_poses` says where and how it may lie.
+    """Base class of the skills that put down a held object; `goal_poses` gives the poses in which it may lie.
 
     The object is released `drop` (m) over the goal, so that fingers do not touch the support.
     """

@@ -54,7 +54,7 @@ SKILLS: Mapping[str, type[Skill]] = {name: kind for name, (kind, _) in _SKILLS_A
 # Key of a loop over the objects of a role: `each: {of: cup, do: [...]}`.
 _LOOP_KEY = "each"
 
-# attempts at a skill before the program fails; attempts after which a held object is put down and grasped anew
+# attempts at a skill before the program fails; attempts after which a held object is put down and grasped again
 _MAX_ATTEMPTS, _ATTEMPTS_WITH_SAME_GRASP = 3, 2
 
 
@@ -200,7 +200,7 @@ def run_program(
             if tries[number] >= _MAX_ATTEMPTS:
                 raise
             log.recoveries.append(SkillRetry(number, skill_name(skill), str(error)))
-            # Arms without a free path stay where they are, and so do those that follow a pushed object.
+            # Arms without a free path, and arms that follow a pushed object, do not move.
             with suppress(SkillFailedError):
                 yield from () if error.cause is FailureCause.KNOCKED else open_and_park_hands(context)
             if (

@@ -98,7 +98,7 @@ _ParserBase: type[yaml.SafeLoader] = getattr(yaml, "CSafeLoader", yaml.SafeLoade
 
 
 class _FastLoader(_AliasRefusal, _ParserBase):  # type: ignore[misc, valid-type]
-    """Reads by libyaml's parser, in a fifth of the time. Its error messages say less."""
+    """Reads by libyaml's parser, in a fifth of the time. Its error messages have less detail."""
 
     yaml_implicit_resolvers = _Loader.yaml_implicit_resolvers
     yaml_constructors = _Loader.yaml_constructors

@@ -118,8 +118,8 @@ def make_reduced(
 ) -> ReducedSet:
     """Return a set's reduced meshes. If they are missing, create and publish them with a license `notice`.
 
-    If two processes call this function at once, one creates the meshes and the other waits. `source` is the folder of
-    the unreduced files, from `AssetStore.find_verified_folder`.
+    If two processes call this function at the same time, one creates the meshes and the other waits. `source` is the
+    folder of the unreduced files, from `AssetStore.find_verified_folder`.
     """
     if (there := find_reduced(store, assets)) is not None:
         return there

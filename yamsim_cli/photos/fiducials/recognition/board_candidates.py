@@ -3,7 +3,7 @@
 - A distant or blurred print is a patch darker than its paper. Several thresholds suit every light. Thin light lines,
 such as gaps between markers, are closed first.
 - On a dark background, or if partly hidden, each dark patch may be a marker. Its edges predict its neighbours. The grid
-may be any part of the board with as many rows and columns.
+may be any part of the board with the same numbers of rows and columns.
 - On a background as bright as the print's average, as in steep views, a print is full of edges.
 
 The corners rectify a patch, whose bits are compared with the board's in four orientations.

@@ -1,4 +1,4 @@
-"""Recognize boards with unreadable markers by all bits of their print at once.
+"""Recognize boards with unreadable markers by all bits of their print together.
 
 Patches (`board_candidates`), other boards and the previous photo predict poses, each fitted to the whole print. A fit
 counts only if its bits agree far beyond chance (`marker_bits`).

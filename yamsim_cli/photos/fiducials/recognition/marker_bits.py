@@ -40,7 +40,7 @@ class BitEvidence:
 
 
 def measure_bit_agreement(view: PhotoRegion, plane: Array, blur: BlurKernel, noise: float) -> BitEvidence:
-    """Compare the bits in a photo with those of the board in `view`.
+    """Compare the bits in a photo with the bits of the board in `view`.
 
     Args:
         plane: (3, 3) from (x, y, 1) on the board, m, to the camera frame.

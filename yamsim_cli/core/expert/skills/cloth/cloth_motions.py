@@ -100,7 +100,7 @@ def carry_points(
 
 
 def _approach_grasps(context: PlanningContext, grasps: Sequence[PointGrasp]) -> Iterator[MotionSegment]:
-    """Move grasping hands to their approaches and idle hands away: at once if their paths are clear of each other."""
+    """Move grasping hands to their approaches and idle hands away, at the same time if no paths collide."""
     opened = {grasp.hand: FingerTarget(APPROACH_OPENING) for grasp in grasps}
     goals = {hand: hand.ready_joints for hand in unparked_hands(context) if hand not in opened}
     goals |= {grasp.hand: grasp.approach_joints for grasp in grasps}
