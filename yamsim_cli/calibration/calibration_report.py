@@ -96,6 +96,7 @@ def _model_and_pose(model: CameraModel, T: Array, interval: PoseInterval) -> dic
 
 
 def _calibrated_wrist_camera(rig: RigConfig, model: CameraModel, fit: WristFit) -> CalibratedWristCamera:
+    model = replace(model, K=_with_focal_scale(model, math.exp(fit.log_focal)))
     return CalibratedWristCamera(
         name=fit.name,
         arm=rig.arms[fit.arm].name,
