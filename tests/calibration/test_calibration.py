@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.calibration.handmade_station import handmade_station
 from yamsim_cli.calibration.calibrate_run import CameraOutcome, StationOutcome
 from yamsim_cli.calibration.calibration_file import (
     CalibratedArm,
@@ -18,7 +20,7 @@ from yamsim_cli.calibration.calibration_file import (
     calibration_text,
     load_calibration,
 )
-from yamsim_cli.calibration.calibration_report import make_calibration, require_agreement, write_results
+from yamsim_cli.calibration.calibration_report import make_calibration, require_agreement, write_page, write_results
 from yamsim_cli.calibration.chosen_frames import (
     BackgroundPicture,
     compare_with_background,
@@ -178,3 +180,24 @@ def test_the_pose_of_a_wrist_camera_and_its_focal_length_are_of_one_fit(single: 
     assert calibration is not None
     K = calibration.wrist_cameras[0].K
     assert (K[0][0], K[1][1], K[0][2]) == pytest.approx((297.0, 297.0, MODEL.K[0][2]))
+
+
+def test_the_page_has_wrist_cameras_offsets_by_joint_and_refusals(
+    station: RigConfig, locations: Locations, tmp_path: Path
+) -> None:
+    handmade_station(tmp_path, station).write()
+    calibration = load_calibration(tmp_path, locations)
+    refused = CameraOutcome("back", MODEL, True, "it sees no arm")
+    wrist = WristOutcome("left_wrist", MODEL, None, "too few pictures")
+    page = write_page(station, StationOutcome((refused,), (), (), (), None, None), calibration, [wrist])
+    (tmp_path / "page.html").write_text(page)
+    text = re.sub(r"\s+", " ", re.sub("<[^>]+>", " ", page)).replace("\N{NO-BREAK SPACE}", " ")
+    for part in (
+        "back: it sees no arm",
+        "left_wrist: too few pictures",
+        "left_eye",
+        "400.0 \N{PLUS-MINUS SIGN} 2.0, 100.0",
+        "joint 6",
+        "the reference 0 \N{EM DASH}",
+    ):
+        assert part in text, part
