@@ -165,7 +165,7 @@ def _outcome(rig: RigConfig, log_focal: float, is_focal_known: bool) -> StationO
     return StationOutcome((camera,), ("top",), (), (), fit, intervals)
 
 
-@pytest.mark.parametrize(("focal", "half_width"), [("given", 0.588), ("estimated", 2.0)])
+@pytest.mark.parametrize(("focal", "half_width"), [("given", 100 * math.log(1.01)), ("estimated", 2.0)])
 def test_the_pose_and_the_focal_length_are_of_one_fit(single: RigConfig, focal: str, half_width: float) -> None:
     calibration = make_calibration(single, _outcome(single, math.log(1.01), focal == "given"))
     assert calibration is not None

@@ -117,7 +117,8 @@ def _calibrated_camera(
     T, model = invert_pose(fit.state.T_base_in_cam[number]), outcome.model
     # The pose belongs to the fitted focal length, also where the fit moved a given one within its error.
     model = replace(model, K=_with_focal_scale(model, math.exp(fit.state.log_focal[number])))
-    focal_95 = Z95 * model.focal_sigma if outcome.is_focal_known else intervals.log_focal[number]
+    moved = abs(fit.state.log_focal[number])
+    focal_95 = max(Z95 * model.focal_sigma, moved) if outcome.is_focal_known else intervals.log_focal[number]
     return CalibratedCamera(
         name=outcome.name,
         **_model_and_pose(model, T, intervals.cameras[number]),
