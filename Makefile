@@ -71,7 +71,7 @@ test-long: setup-dev gl meshes test-programs ## run those slow tests that contin
 
 # Each client has an environment of its own in .venv-clients, made once. What was found lies in out/clients.jsonl, from which
 # `python -m tests.clients.table` brings the table in docs/clients.md up to date.
-test-clients: setup-dev gl meshes ## run programs of others on what yamsim writes: those that install in a minute; some from checkouts in $YAMSIM_MAKER and $YAMSIM_ABC
+test-clients: setup-dev gl meshes ## run programs of others on what yamsim writes: those that install in a minute; some from checkouts, whose variables are in tests/clients/rows.py
 	rm -f out/clients.jsonl
 	$(PYTHON_BIN) -m pytest -n $(TEST_WORKERS) --dist worksteal -m client $(PYTEST_ARGS)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.calibration.handmade_station import handmade_station
 from yamsim_cli.calibration.calibrate_run import CameraOutcome, StationOutcome
 from yamsim_cli.calibration.calibration_file import (
     CalibratedArm,
@@ -18,7 +20,7 @@ from yamsim_cli.calibration.calibration_file import (
     calibration_text,
     load_calibration,
 )
-from yamsim_cli.calibration.calibration_report import make_calibration, require_agreement, write_results
+from yamsim_cli.calibration.calibration_report import make_calibration, require_agreement, write_page, write_results
 from yamsim_cli.calibration.chosen_frames import (
     BackgroundPicture,
     compare_with_background,
@@ -29,6 +31,7 @@ from yamsim_cli.calibration.chosen_frames import (
 from yamsim_cli.calibration.pose_search import MaskView, mask_overlap
 from yamsim_cli.calibration.station_fit import Layout, StationFit, start_state
 from yamsim_cli.calibration.uncertainty import PoseInterval, StationIntervals
+from yamsim_cli.calibration.wrist_fit import WristFit, WristOutcome
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import ConfigError, SimulationError, UsageError
@@ -147,18 +150,54 @@ def test_a_refusal_leaves_no_calibration_of_an_earlier_run(tmp_path: Path) -> No
     assert [file.name for file in again] == ["calibration.json", "calibration.html"]
 
 
-@pytest.mark.parametrize(("focal", "half_width"), [("given", 0.588), ("estimated", 2.0)])
-def test_the_pose_and_the_focal_length_are_of_one_fit(single: RigConfig, focal: str, half_width: float) -> None:
-    state = start_state(single, [np.eye(4)], [math.log(1.01)], 1)
-    layout = Layout(1, 1, (single.arms[0].robot.dof,), 0)
+MODEL = CameraModel.from_focal_length(320, 240, 300.0, focal_sigma=0.003)
+EXACT = PoseInterval(np.zeros(3), np.zeros(3))
+
+
+def _outcome(rig: RigConfig, log_focal: float, is_focal_known: bool) -> StationOutcome:
+    """A fit of one camera of a rig with one arm."""
+    state = start_state(rig, [np.eye(4)], [log_focal], 1)
+    layout = Layout(1, 1, (rig.arms[0].robot.dof,), 0)
     equations: Any = SimpleNamespace(camera=0, median=0.2)
     fit = StationFit(layout, state, (equations,), np.eye(layout.size), (np.zeros(3),))
-    exact = PoseInterval(np.zeros(3), np.zeros(3))
-    intervals = StationIntervals((exact,), (0.02,), (0.0,), (np.zeros(layout.dofs[0]),), (exact,), (0.0,), (0.0,))
-    model = CameraModel.from_focal_length(320, 240, 300.0, focal_sigma=0.003)
-    camera = CameraOutcome("top", model, focal == "given", None, {"frames": 40})
-    calibration = make_calibration(single, StationOutcome((camera,), ("top",), (), (), fit, intervals))
+    intervals = StationIntervals((EXACT,), (0.02,), (0.0,), (np.zeros(layout.dofs[0]),), (EXACT,), (0.0,), (0.0,))
+    camera = CameraOutcome("top", MODEL, is_focal_known, None, {"frames": 40})
+    return StationOutcome((camera,), ("top",), (), (), fit, intervals)
+
+
+@pytest.mark.parametrize(("focal", "half_width"), [("given", 100 * math.log(1.01)), ("estimated", 2.0)])
+def test_the_pose_and_the_focal_length_are_of_one_fit(single: RigConfig, focal: str, half_width: float) -> None:
+    calibration = make_calibration(single, _outcome(single, math.log(1.01), focal == "given"))
     assert calibration is not None
     found = calibration.cameras[0]
-    assert (found.K[0][0], found.K[1][1], found.K[0][2]) == pytest.approx((303.0, 303.0, model.K[0][2]))
+    assert (found.K[0][0], found.K[1][1], found.K[0][2]) == pytest.approx((303.0, 303.0, MODEL.K[0][2]))
     assert (found.focal, found.focal_95_percent) == (focal, pytest.approx(half_width, rel=1e-3))
+
+
+def test_the_pose_of_a_wrist_camera_and_its_focal_length_are_of_one_fit(single: RigConfig) -> None:
+    wrist = WristOutcome("wrist", MODEL, WristFit("wrist", 0, np.eye(4), math.log(0.99), EXACT, 30, 1, 0.9, 0.2), None)
+    calibration = make_calibration(single, _outcome(single, 0.0, True), [wrist])
+    assert calibration is not None
+    K = calibration.wrist_cameras[0].K
+    assert (K[0][0], K[1][1], K[0][2]) == pytest.approx((297.0, 297.0, MODEL.K[0][2]))
+
+
+def test_the_page_has_wrist_cameras_offsets_by_joint_and_refusals(
+    station: RigConfig, locations: Locations, tmp_path: Path
+) -> None:
+    handmade_station(tmp_path, station).write()
+    calibration = load_calibration(tmp_path, locations)
+    refused = CameraOutcome("back", MODEL, True, "it sees no arm")
+    wrist = WristOutcome("left_wrist", MODEL, None, "too few pictures")
+    page = write_page(station, StationOutcome((refused,), (), (), (), None, None), calibration, [wrist])
+    (tmp_path / "page.html").write_text(page)
+    text = re.sub(r"\s+", " ", re.sub("<[^>]+>", " ", page)).replace("\N{NO-BREAK SPACE}", " ")
+    for part in (
+        "back: it sees no arm",
+        "left_wrist: too few pictures",
+        "left_eye",
+        "400.0 \N{PLUS-MINUS SIGN} 2.0, 100.0",
+        "joint 6",
+        "the reference 0 \N{EM DASH}",
+    ):
+        assert part in text, part

@@ -11,8 +11,8 @@ import pytest
 
 from yamsim_cli.calibration.calibrate_run import offset_refusal
 from yamsim_cli.calibration.episode_pictures import EpisodePictures
-from yamsim_cli.calibration.station_fit import DELAY, FitPriors, Layout, StationProblem, start_state
-from yamsim_cli.calibration.uncertainty import _with_joint2_error
+from yamsim_cli.calibration.station_fit import DELAY, FOCAL, FitPriors, Layout, StationProblem, start_state
+from yamsim_cli.calibration.uncertainty import _with_joint2_error, focal_contradiction
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.rig import RigConfig
@@ -82,3 +82,14 @@ def test_implausible_joint_offsets_are_refused(station: RigConfig) -> None:
     state.offsets[0][4] = np.radians(-4.0)
     refusal = offset_refusal(station, state)
     assert refusal is not None and f"joint 5 of {station.arms[0].name} would have an offset of -4.0" in refusal
+
+
+def test_a_focal_length_moved_beyond_its_interval_widens_all_intervals() -> None:
+    layout = Layout(2, 0, (6,), 0)
+    sigma = np.full(layout.size, np.inf)
+    sigma[[layout.camera(number).start + FOCAL for number in (0, 1)]] = 0.003, 0.4
+    moved = {}
+    for name, log_focal in (("little", (0.005, 0.3)), ("far", (-0.0118, 0.3))):
+        fit = cast(Any, SimpleNamespace(layout=layout, state=SimpleNamespace(log_focal=log_focal)))
+        moved[name] = focal_contradiction(sigma, fit)
+    assert moved == {"little": 1.0, "far": pytest.approx(2.0, rel=0.01)}

@@ -84,6 +84,23 @@ def test_unusable_pictures_are_refused_with_a_remedy(single: RigConfig, tmp_path
     assert (wrong.code, "degrees" in wrong.message) == (4, True)
 
 
+def test_a_left_arm_that_never_moves_is_told(station: RigConfig, tmp_path: Path) -> None:
+    motion = swinging(station, 2.0)
+    left, right = motion.arms
+    still = replace(left, joints=left.joints[:1].repeat(len(left.joints), axis=0))
+    messages = []
+    for name, arms in (("still", (still, right)), ("moving", (left, right))):
+        write_lowdim(tmp_path / name, replace(motion, arms=arms), station)
+        run = yamsim("calibrate", name, "--rig", station.name, "--frames", "16", "--out", f"of_{name}", cwd=tmp_path)
+        assert run.code == 4
+        messages.append(run.message)
+    arm = station.arms[station.recording_order[0]].name
+    assert (
+        f"the left arm ({arm}), in whose base poses are given, never moves: give episodes in which both" in messages[0]
+    )
+    assert "never moves" not in messages[1]
+
+
 @pytest.mark.long
 @pytest.mark.slow
 def test_a_recorded_camera_is_found_and_checked(tmp_path: Path) -> None:

@@ -216,6 +216,36 @@ ROWS: dict[str, ClientRow] = {
         environment=Environment(),
         checkout="YAMSIM_ABC",
     ),
+    "ros-cameras": ClientRow(
+        client="ROS 2's parser of camera_info files (image_common), from its repository",
+        distribution="camera_calibration_parsers",
+        opens="`export calibration --format ros`: matrices, lens models and coefficients",
+        checkout="YAMSIM_IMAGE_COMMON",
+    ),
+    "ros-transforms": ClientRow(
+        client="ROS 2's static_transform_publisher (geometry2), from its repository, without its network",
+        distribution="tf2_ros",
+        opens="`export calibration --format ros`: the script publishes the calibrated poses",
+        checkout="YAMSIM_GEOMETRY2",
+    ),
+    "kalibr": ClientRow(
+        client="Kalibr's reader of camera chains, from its repository",
+        distribution="kalibr",
+        opens="`export calibration --format kalibr`: lenses, and poses from camera to camera; its camera models open",
+        checkout="YAMSIM_KALIBR",
+    ),
+    "raiden-calibration": ClientRow(
+        client="raiden's policy server, from its repository, without arms",
+        distribution="raiden",
+        opens="`export calibration --format raiden`: poses of fixed and wrist cameras and of the second base",
+        checkout="YAMSIM_RAIDEN",
+    ),
+    "inspect-robots-bases": ClientRow(
+        "inspect-robots-yam: collision check",
+        "inspect-robots-yam",
+        "`export calibration --format inspect_robots`: bases in its collision checker's model",
+        Environment("act", beside=True),
+    ),
     "lerobot-0.4": ClientRow("LeRobot 0.4", "lerobot", _LEROBOT, Environment("lerobot-0.4", "3.11"), heavy=True),
     "lerobot-doctor": ClientRow(
         "lerobot-doctor",

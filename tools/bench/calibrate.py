@@ -3,6 +3,7 @@
     python -m tools.bench.calibrate [--stations N] [--first SEED] [--size 640x480] [--task swap] [--keep out/bench]
     python -m tools.bench.calibrate --renderer filament --size 640x480 --hand
     python -m tools.bench.calibrate --arms 2 --wrist --size 640x480
+    python -m tools.bench.calibrate --boards --size 640x480
 
 Each station has its own camera, lights, table and floor, four episodes of `pickplace` with distractors (or as `--task`
 and `--episodes` say), joint offsets, a delay of the pictures and an error of the given focal length. Pictures have full
@@ -10,6 +11,9 @@ meshes, shadows, noise, blur and JPEG; the fit renders the same meshes without l
 is not where the rig has it, and with `--wrist`, wrist cameras are not. `--renderer filament` takes the fixed camera's
 pictures with MuJoCo's physically based renderer, see `tools.bench.filament_pictures`. Seeds up to 1010 served
 development, those above did not. A given focal length is not changed: its error is that of the planted camera file.
+
+With `--boards`, a fiducial board lies beside the arm in the same pictures. The bench compares the poses of `calibrate`
+and of `overlay`, which reads the board, with the truth and with each other.
 
 The command runs with wide limits. The bench counts which poses `--max-shift` and `--max-turn` would refuse.
 """
@@ -27,6 +31,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from tools.bench.board_poses import board_pose, both_widths, in_measured_base, pose_difference
 from tools.bench.calibration_stations import (
     CAMERA,
     CLASSIC,
@@ -61,7 +66,25 @@ def calibrate_station(folder: Path, planted: Planted, options: StationOptions, k
     row["figures"] = {key: value for key, value in figures[0].items() if key != "name"}
     row["refused"] = {one["name"]: one["reason"] for one in figures if one["status"] == "refused"}
     row["errors"] = [] if report["calibration"] is None else calibration_errors(report["calibration"], planted)
+    if options.boards and report["calibration"] is not None:
+        row["errors"] += board_errors(folder, report["calibration"]["cameras"][0], planted, options)
     return row
+
+
+def board_errors(
+    folder: Path, camera: Mapping[str, Any], planted: Planted, options: StationOptions
+) -> list[dict[str, Any]]:
+    """Return the errors of the pose by the board, and its distance from a calibrated camera; empty without a board."""
+    found = board_pose(folder, options)
+    if found is None:
+        return []
+    board = in_measured_base(found, planted)
+    shift, turn = pose_difference(camera, board)
+    return [
+        *_pose_errors("board", board, planted.T_cam_in_base),
+        _error("calibrate minus board, mm", shift, both_widths(camera, board, "position_95_mm")),
+        _error("calibrate minus board, degrees", turn, both_widths(camera, board, "rotation_95_deg")),
+    ]
 
 
 def calibration_errors(found: Mapping[str, Any], planted: Planted) -> list[dict[str, Any]]:
@@ -154,6 +177,7 @@ def main() -> None:
     parser.add_argument("--lens", choices=LENSES, default="none", help="distortion that the camera file has or lacks")
     parser.add_argument("--hand", action="store_true", help="a hand hides part of some pictures")
     parser.add_argument("--h264", action="store_true", help="a video instead of JPEG")
+    parser.add_argument("--boards", action="store_true", help="a board beside the arm, and poses by it")
     parser.add_argument("--unknown-focal", action="store_true", help="do not give the camera's calibration")
     parser.add_argument("--max-shift", type=float, default=5.0, help="mm, of intervals that count as refused")
     parser.add_argument("--max-turn", type=float, default=0.5, help="degrees, likewise")
@@ -162,6 +186,8 @@ def main() -> None:
     options = StationOptions(**{field.name: getattr(given, field.name) for field in fields(StationOptions)})
     if options.h264 and options.renderer == FILAMENT:
         parser.error("--h264 needs all pictures, and Filament renders those that the fit reads; leave one out")
+    if options.boards and (options.arms == 2 or options.wrist):
+        parser.error("--boards is for one arm without wrist cameras")
     console, rows = Console(width=240), []
     with scratch_directory("yamsim-calibrate-") as scratch:
         for seed in range(given.first, given.first + given.stations):

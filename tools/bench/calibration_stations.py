@@ -32,7 +32,7 @@ from yamsim_cli.core.images.image_files import read_image
 from yamsim_cli.core.scene.cameras import wrist_camera_pose
 
 CAMERA = "scene_camera"
-ONE_ARM, TWO_ARMS = "yam_v1+linear_4310", "bimanual"
+ONE_ARM, TWO_ARMS, ONE_ARM_WITH_BOARD = "yam_v1+linear_4310", "bimanual", "single"
 CLASSIC, FILAMENT = "classic", "filament"
 LENSES = ("none", "given", "hidden")
 NOISE, BLUR, JPEG = 3.0, 0.5, 85  # grey levels, px, quality
@@ -71,6 +71,7 @@ class StationOptions:
         lens: one of `LENSES`: "none" (no distortion), "given" (the camera file states it) or "hidden" (it does not).
         hand: whether a hand hides part of some pictures.
         h264: whether pictures were a video, instead of JPEG.
+        boards: whether a fiducial board lies beside the arm's base, in pictures and rig; only with one arm.
     """
 
     size: str = "320x240"
@@ -83,10 +84,13 @@ class StationOptions:
     lens: str = "none"
     hand: bool = False
     h264: bool = False
+    boards: bool = False
 
     @property
     def rig(self) -> str:
         """Name of the rig that the fit gets."""
+        if self.boards:
+            return ONE_ARM_WITH_BOARD
         return TWO_ARMS if self.arms == 2 else ONE_ARM
 
     @property
@@ -243,7 +247,12 @@ def record_station(seed: int, folder: Path, options: StationOptions) -> Planted:
     config = {
         key: str((folder / f"{file}.yaml").absolute())
         for key, file in (("scene", "scene"), ("randomization", "randomization"), ("render", "quality"))
-    } | {"task": options.task, "wrist": options.wrist, "image": {"size_px": [640, 480], "jpeg_quality": 98}}
+    } | {
+        "task": options.task,
+        "wrist": options.wrist,
+        "boards": options.boards,
+        "image": {"size_px": [640, 480], "jpeg_quality": 98},
+    }
     (folder / "record.yaml").write_text(yaml.safe_dump(config))
     is_own_rig = options.arms == 2 or options.wrist
     if is_own_rig:

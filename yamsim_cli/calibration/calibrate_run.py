@@ -20,6 +20,7 @@ from ..core.progress import Progress
 from ..photos.overlay.body_views import BodyRenderer
 from .calibration_file import Calibration
 from .camera_views import PreparedCamera, prepare_camera, with_clean_backgrounds
+from .chosen_frames import ChosenFrame
 from .episode_pictures import EpisodePictures
 from .exchanges import WristCameraMoves, exchange_arms, has_two_equal_arms, wrist_camera_fault
 from .pose_search import Hypothesis, mask_overlap, search_poses
@@ -30,6 +31,7 @@ from .wrist_fit import WristOutcome, estimate_wrist_camera
 EXCHANGED_OVERLAP = "exchanged_overlap"  # figure of a camera whose pictures show exchanged arms
 _MIN_FRAMES = 16  # pictures; with fewer, the scatter between groups of them is not significant
 _MIN_CHANGED = 0.005  # share of a picture that changes with the arms, of the median picture
+_MIN_MOTION = math.radians(5)  # rad, smallest range of some joint of the reference arm in the pictures of a camera
 _MIN_OVERLAP = 0.25  # intersection over union of the moving bodies with what changes
 _MAX_CHANCE = 0.85  # the overlap for exchanged poses, as a share of that for each picture's own pose
 _MIN_FOUND = 0.6  # share of outline points with an edge within the last reach
@@ -207,6 +209,12 @@ class StationCalibrator:
                 f"{len(frames)} pictures show different poses of a slow arm; at least {_MIN_FRAMES} are needed: give "
                 "more or longer episodes"
             )
+        if self._does_reference_stand_still(frames):
+            arm = self._rig.arms[self._rig.recording_order[0]].name
+            return refused(
+                f"the left arm ({arm}), in whose base poses are given, never moves: give episodes in which both arms "
+                "move; if the pictures show it move, the arms are exchanged: import the recording with --swap-arms"
+            )
         if changed < _MIN_CHANGED or not any(len(mask.points) for mask in prepared.masks):
             return refused(
                 f"{changed:.1%} of the picture changes when the arms move, at least {_MIN_CHANGED:.1%} are needed: "
@@ -229,6 +237,17 @@ class StationCalibrator:
                 f"{overlap:.2f}): are joints and pictures of the same episodes, and do the poses differ?"
             )
         return self._first_fit(name, model, known, prepared, hypotheses, figures)
+
+    def _does_reference_stand_still(self, frames: Sequence[ChosenFrame]) -> bool:
+        """Return whether the left of two arms stands still in all pictures.
+
+        Then only edges on an unknown background and the assumed distance of the bases tell where its base is.
+        """
+        if len(self._rig.arms) == 1:
+            return False
+        left = self._rig.recording_order[0]
+        joints = [self._episodes[one.episode].postures_at(one.time)[left].joints for one in frames]
+        return bool(np.ptp(joints, axis=0).max() < _MIN_MOTION)
 
     def _first_fit(
         self,

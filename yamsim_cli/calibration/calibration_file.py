@@ -52,7 +52,7 @@ class CalibratedCamera(_CameraOnBody):
     Attributes:
         focal: `given`, and then moved by the fit within its error, or `estimated` without a prior value.
         focal_95_percent, delay_95_ms: half widths of 95 % intervals. The interval of a given focal length is from its
-            file.
+            file, or as wide as the fit moved the focal length, if that is more.
         delay_ms: pictures show the arms as they were this much before their time stamps.
         frames: pictures that the fit used.
     """

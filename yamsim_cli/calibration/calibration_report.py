@@ -49,6 +49,11 @@ _SHOWN_FRAMES = 12  # pictures of a camera on the page
 _OPACITY = 0.35  # of the arms over a picture, 0..1
 _JPEG_QUALITY = 85  # 0..100
 _PAGE_PX = 460  # width of a picture on the page
+_UNKNOWN = "\N{EM DASH}"
+_INTERVALS = (
+    "\N{PLUS-MINUS SIGN} is the half width of a 95 % interval. The outline is the median distance of the rendered "
+    "arms' outlines to the pictures' edges."
+)
 
 
 def _numbers(values: Array) -> Numbers3:
@@ -96,6 +101,7 @@ def _model_and_pose(model: CameraModel, T: Array, interval: PoseInterval) -> dic
 
 
 def _calibrated_wrist_camera(rig: RigConfig, model: CameraModel, fit: WristFit) -> CalibratedWristCamera:
+    model = replace(model, K=_with_focal_scale(model, math.exp(fit.log_focal)))
     return CalibratedWristCamera(
         name=fit.name,
         arm=rig.arms[fit.arm].name,
@@ -111,7 +117,8 @@ def _calibrated_camera(
     T, model = invert_pose(fit.state.T_base_in_cam[number]), outcome.model
     # The pose belongs to the fitted focal length, also where the fit moved a given one within its error.
     model = replace(model, K=_with_focal_scale(model, math.exp(fit.state.log_focal[number])))
-    focal_95 = Z95 * model.focal_sigma if outcome.is_focal_known else intervals.log_focal[number]
+    moved = abs(fit.state.log_focal[number])
+    focal_95 = max(Z95 * model.focal_sigma, moved) if outcome.is_focal_known else intervals.log_focal[number]
     return CalibratedCamera(
         name=outcome.name,
         **_model_and_pose(model, T, intervals.cameras[number]),
@@ -264,60 +271,88 @@ def require_agreement(given: Calibration, found: Calibration) -> list[dict[str, 
     return rows
 
 
-def write_page(rig: RigConfig, outcome: StationOutcome, calibration: Calibration | None) -> str:
-    """Return the page: poses with intervals, and the arms over the pictures."""
+def write_page(
+    rig: RigConfig, outcome: StationOutcome, calibration: Calibration | None, wrists: Sequence[WristOutcome] = ()
+) -> str:
+    """Return the page: poses with intervals, refusals, and the arms over the pictures."""
     body: list[Markup | None] = [
-        html_tag("p", f"on rig {rig.name}, from {len(outcome.episodes)} episodes", class_="where"),
-        _cameras_section(outcome, calibration),
-        _arms_section(calibration) if calibration else None,
+        html_tag("p", f"from {len(outcome.episodes)} episodes", class_="where"),
+        _refusals_section([*outcome.cameras, *wrists]),
     ]
+    if calibration:
+        body += [_cameras_section(calibration), _wrist_cameras_section(calibration), _arms_section(calibration)]
     for number, name in enumerate(outcome.fitted):
         figures = _picture_figures(outcome, number)
         body.append(grid_section(f"Camera {name}: the arms at their estimated places", figures, "columns"))
-    return html_page("Calibration", "Calibration of a station", rig.name, [one for one in body if one], page_footer())
+    title = f"Cameras and arms of {rig.name}"
+    return html_page("Calibration", "Calibration of a station", title, [one for one in body if one], page_footer())
 
 
-def _cameras_section(outcome: StationOutcome, calibration: Calibration | None) -> Markup:
-    by_name = {one.name: one for one in calibration.cameras} if calibration else {}
-    cells = []
-    for one in outcome.cameras:
-        if one.refusal is not None:
-            cells.append([one.name, "refused", one.refusal, "", "", ""])
-            continue
-        camera = by_name[one.name]
-        cells.append(
-            [
-                one.name,
-                "ok",
-                ", ".join(
-                    f"{1000 * value:.1f} \N{PLUS-MINUS SIGN} {width:.1f}"
-                    for value, width in zip(camera.position, camera.position_95_mm, strict=True)
-                ),
-                f"{max(camera.rotation_95_deg):.2f}",
-                f"{camera.delay_ms:.0f} \N{PLUS-MINUS SIGN} {camera.delay_95_ms:.0f}",
-                f"{camera.outline_px:.2f}",
-            ]
-        )
-    heads = ("camera", "status", "position in the base, mm", "turn, 95 %, degrees", "delay, ms", "outline, px")
-    return html_section("Cameras", html_table(heads, cells))
+def _refusals_section(cameras: Sequence[CameraOutcome | WristOutcome]) -> Markup | None:
+    items = [html_tag("li", f"{one.name}: {one.refusal}") for one in cameras if one.refusal is not None]
+    return html_section("Refused cameras", html_tag("ul", items)) if items else None
+
+
+def _cameras_section(calibration: Calibration) -> Markup:
+    cells = [
+        [
+            one.name,
+            *_pose_cells(one),
+            _within(one.K[0][0], one.K[0][0] * one.focal_95_percent / 100, 1),
+            _within(one.delay_ms, one.delay_95_ms, 0),
+            f"{one.outline_px:.2f}",
+            str(one.frames),
+        ]
+        for one in calibration.cameras
+    ]
+    place = f"position in the base of {calibration.reference}, mm"
+    heads = ("camera", place, "turn, degrees", "focal length, px", "delay, ms", "outline, px", "pictures")
+    return html_section("Fixed cameras", html_tag("p", _INTERVALS), html_table(heads, cells))
+
+
+def _wrist_cameras_section(calibration: Calibration) -> Markup | None:
+    cells = [
+        [one.name, one.arm, *_pose_cells(one), f"{one.K[0][0]:.1f}", f"{one.outline_px:.2f}", str(one.pictures)]
+        for one in calibration.wrist_cameras
+    ]
+    heads = (
+        "camera",
+        "arm",
+        "position on the flange, mm",
+        "turn, degrees",
+        "focal length, px",
+        "outline, px",
+        "pictures",
+    )
+    return html_section("Wrist cameras", html_table(heads, cells)) if cells else None
 
 
 def _arms_section(calibration: Calibration) -> Markup:
     cells = []
     for arm in calibration.arms:
         rows = zip(arm.joint_offsets_deg, arm.joint_offsets_95_deg, arm.joint_offsets_estimated, strict=True)
-        cells.append(
-            [
-                arm.name,
-                ", ".join(f"{1000 * value:.1f}" for value in arm.position),
-                ", ".join(
-                    f"{value:.2f} \N{PLUS-MINUS SIGN} {width:.2f}" if estimated else "not estimated"
-                    for value, width, estimated in rows
-                ),
-            ]
-        )
-    heads = ("arm", "base in that of the reference, mm", "joint offsets (measured minus true), degrees")
-    return html_section("Arms", html_table(heads, cells))
+        offsets = [_within(value, width, 2) if estimated else _UNKNOWN for value, width, estimated in rows]
+        is_reference = arm.name == calibration.reference
+        base = ["the reference", ""] if is_reference else _pose_cells(arm)
+        cells.append([arm.name, *base, "0", *offsets[1:]])
+    joints = [f"joint {number}" for number in range(1, max(len(row) for row in cells) - 2)]
+    heads = ("arm", f"base in that of {calibration.reference}, mm", "turn, degrees", *joints)
+    text = (
+        "Joint offsets, in degrees, are measured minus true joints. That of joint 1 is 0 by definition. "
+        f"The pictures do not determine those with {_UNKNOWN}."
+    )
+    return html_section("Arms", html_tag("p", text), html_table(heads, cells))
+
+
+def _pose_cells(body: CalibratedCamera | CalibratedWristCamera | CalibratedArm) -> list[str]:
+    """Return the position, mm, and the interval of the turn, degrees."""
+    values = zip(body.position, body.position_95_mm, strict=True)
+    place = ", ".join(_within(1000 * value, width, 1) for value, width in values)
+    return [place, f"\N{PLUS-MINUS SIGN}\N{NO-BREAK SPACE}{max(body.rotation_95_deg):.2f}"]
+
+
+def _within(value: float, width: float, digits: int) -> str:
+    return f"{value:.{digits}f}\N{NO-BREAK SPACE}\N{PLUS-MINUS SIGN}\N{NO-BREAK SPACE}{width:.{digits}f}"
 
 
 def _picture_figures(outcome: StationOutcome, number: int) -> list[Markup]:

@@ -93,6 +93,7 @@ def estimate_intervals(problem: StationProblem, fit: StationFit) -> StationInter
     groups = picture_groups(problem.views)
     focal = float(np.mean([view.renderer.intrinsics.fx for view in problem.views]))
     covariance = _with_joint2_error(_covariance(fit, groups), fit, _JOINT2_ERROR / focal)
+    covariance = focal_contradiction(problem.sigma, fit) ** 2 * covariance
     halves = [_fit_half(problem, fit.state, groups, parity) for parity in (0, 1)]
     cameras, apart = [], []
     for number in range(fit.layout.cameras):
@@ -161,6 +162,19 @@ def _with_joint2_error(covariance: Array, fit: StationFit, sigma: float) -> Arra
         following = covariance[:, joint] / covariance[joint, joint]
         covariance = covariance + sigma**2 * np.outer(following, following)
     return covariance
+
+
+def focal_contradiction(sigma: Array, fit: StationFit) -> float:
+    """Return how far the fit moved a focal length, in half widths of its 95 % interval before the fit; 1 at least.
+
+    A farther move shows that the outlines are wrong by more than their equations say. `sigma` (k,) are the priors'
+    standard deviations.
+    """
+    moves = [
+        abs(log_focal) / (Z95 * float(sigma[fit.layout.camera(number).start + FOCAL]))
+        for number, log_focal in enumerate(fit.state.log_focal)
+    ]
+    return max(1.0, *moves)
 
 
 def _camera_interval(fit: StationFit, covariance: Array, number: int) -> PoseInterval:

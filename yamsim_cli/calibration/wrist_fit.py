@@ -53,6 +53,7 @@ _PRIOR_TURN, _PRIOR_SHIFT = math.radians(5.0), 0.02  # rad and m, standard devia
 _BIASES = (0.5, 0.3, 0.3)  # px, standard deviations of shifts that all edges share: outwards, to the right and down
 _INFLATION = 3.5  # of intervals; without it, the errors of a planted camera exceeded them by up to 3.4 times
 _MIN_FOUND = 0.6  # share of outline points with an edge within the last reach
+_FOCAL = 6  # place of the focal length among the parameters, after turn and shift
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ class WristFit:
 
     Attributes:
         arm: number of the arm.
+        log_focal: logarithm of the focal length over the given one. The pose belongs to it.
         interval: half widths of the 95 % intervals along and about the flange's axes.
         pictures, openings: pictures that were used, and the number of different openings.
         found_share: share of the outline's points with an edge.
@@ -70,6 +72,7 @@ class WristFit:
     name: str
     arm: int
     T_cam_in_flange: Array
+    log_focal: float
     interval: PoseInterval
     pictures: int
     openings: int
@@ -146,7 +149,7 @@ def fit_wrist_camera(
             f"camera {name!r}: no opening of the gripper is in {_MIN_PICTURES} pictures or more; give more episodes"
         )
     problem = _WristProblem(arm, rig, renderer, means, focal_sigma)
-    T_flange_in_cam, rows = problem.search(invert_pose(wrist_camera_pose(rig.arms[arm])))
+    T_flange_in_cam, log_focal, rows = problem.search(invert_pose(wrist_camera_pose(rig.arms[arm])))
     if rows.found_share < _MIN_FOUND:
         raise DatasetError(
             f"camera {name!r}: the gripper's outline meets the edges of pictures at {rows.found_share:.0%} of its "
@@ -157,6 +160,7 @@ def fit_wrist_camera(
         name,
         arm,
         invert_pose(T_flange_in_cam),
+        log_focal,
         problem.interval(T_flange_in_cam, rows.normal),
         sum(one.count for one in means),
         len(means),
@@ -219,8 +223,10 @@ class _WristProblem:
         self._prior = np.diag(sigma**-2.0)
         self._T_prior = invert_pose(wrist_camera_pose(rig.arms[arm]))
 
-    def search(self, T_rig: Array) -> tuple[Array, _Rows]:
-        """Return the best pose of the flange in the camera near the rig's, and its equations."""
+    def search(self, T_rig: Array) -> tuple[Array, float, _Rows]:
+        """Return the best pose of the flange in the camera near the rig's, the logarithm of its focal length, and its
+        equations.
+        """
         rng = np.random.default_rng(0)
         fits = []
         for number in range(_STARTS):
@@ -228,8 +234,8 @@ class _WristProblem:
             fits.append(self._refine(self.moved(T_rig, step), np.zeros(self.size), _START_REACHES))
         fits.sort(key=lambda one: one[2].cost)
         finished = [self._refine(T, state, _REACHES) for T, state, _ in fits[:_BEST]]
-        T, _, rows = min(finished, key=lambda one: one[2].cost)
-        return T, rows
+        T, state, rows = min(finished, key=lambda one: one[2].cost)
+        return T, float(state[_FOCAL]), rows
 
     def _refine(self, T: Array, state: Array, reaches: Sequence[float]) -> tuple[Array, Array, _Rows]:
         for reach in reaches:
@@ -244,7 +250,7 @@ class _WristProblem:
 
     def _deviation(self, T: Array, state: Array) -> Array:
         turn = rotation_vector(T[:3, :3] @ self._T_prior[:3, :3].T)
-        return np.concatenate([turn, T[:3, 3] - self._T_prior[:3, 3], state[6:]])
+        return np.concatenate([turn, T[:3, 3] - self._T_prior[:3, 3], state[_FOCAL:]])
 
     def linearize(self, T_flange_in_cam: Array, state: Array, reach: float) -> _Rows:
         """Return the equations of a step, weighted robustly, and how many outline points have an edge."""
@@ -267,7 +273,7 @@ class _WristProblem:
     def _mean_rows(self, one: _MeanPicture, T: Array, state: Array, reach: float) -> tuple[Array, Array, int]:
         renderer = self._renderer
         postures = one.episode.postures_at(one.time)
-        renderer.set_focal_scale(math.exp(state[6]))
+        renderer.set_focal_scale(math.exp(state[_FOCAL]))
         renderer.set_poses({self._arm: np.eye(4)}, postures)
         flange = renderer.flange_pose(self._arm)
         renderer.set_poses({self._arm: T @ invert_pose(flange)}, postures)
@@ -279,12 +285,12 @@ class _WristProblem:
         depth = picture.depth[inside[:, 1], inside[:, 0]].astype(np.float64)
         use = np.isfinite(seen) & (depth > 0)
         K = renderer.intrinsics.K
-        K[[0, 1], [0, 1]] *= math.exp(state[6])
+        K[[0, 1], [0, 1]] *= math.exp(state[_FOCAL])
         normals = line.normals[use]
         points, across = points_in_camera(line.points[use], normals, depth[use], K)
         focal = ((line.points[use] - K[:2, 2]) * normals).sum(axis=1)
         J = np.column_stack([np.cross(points - T[:3, 3], across), across, focal, np.ones(len(points)), normals])
-        return J, seen[use] - J[:, 7:] @ state[7:], len(line.points)
+        return J, seen[use] - J[:, _FOCAL + 1 :] @ state[_FOCAL + 1 :], len(line.points)
 
     def interval(self, T_flange_in_cam: Array, normal: Array) -> PoseInterval:
         """Return the intervals of the camera's pose on the flange."""

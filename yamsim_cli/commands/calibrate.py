@@ -110,7 +110,7 @@ def calibrate(
         outcome = calibrator.run(advance)
         calibration = make_calibration(settings, outcome, wrists)
         report = make_report(settings, outcome, calibration, moves, wrists)
-        page = write_page(settings, outcome, calibration)
+        page = write_page(settings, outcome, calibration, wrists)
     files = write_results(out, report, page, calibration)
     if fault := report["wrist_cameras_fault"]:
         print_note(fault)

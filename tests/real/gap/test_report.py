@@ -79,3 +79,13 @@ def test_a_page_shows_every_joint_and_the_worst_moment(gaps: list[MotionGap], tm
     # The worst moment is marked in the two plots of its joint.
     assert text.count('class="limit"') == 2
     assert "By recording" in text and "nan" not in text
+
+
+def test_the_page_tells_the_photos_distance_without_a_gap(gaps: list[MotionGap], tmp_path: Path) -> None:
+    distances = {"outline_px": 2.5, "measured_outline_px": 0.4, "iou": 0.9}
+    pictures = {key: {"mean": value, "worst": value} for key, value in distances.items()}
+    report = build_report(gaps, "single") | {"pictures": {"camera": "top", "photos": 4, "without_pose": 2, **pictures}}
+    write_gap_page(report, gaps, [], tmp_path / "gap.html")
+    text = (tmp_path / "gap.html").read_text()
+    assert "4 photos of camera top were compared. 2 were left out" in text
+    assert "at its measured joints, without a gap: 0.4 px on average" in text

@@ -2,7 +2,8 @@
 
 `T_cn_cnm1` transforms points of the previous camera to this one.
 
-Source: ethz-asl/kalibr 1f60227, `kalibr_common/ConfigReader.py`: `CameraParameters` and `CameraChainParameters`.
+Source: ethz-asl/kalibr 1f60227, `kalibr_common/ConfigReader.py`: `CameraParameters`, `CameraChainParameters` and
+`AslamCamera`.
 """
 
 from __future__ import annotations
@@ -50,12 +51,11 @@ def _misfit(camera: CalibratedCamera) -> str:
 
 def _camera_entry(camera: CalibratedCamera) -> dict[str, Any]:
     (fu, _, pu), (_, fv, pv), _ = camera.K
-    distorted = any(camera.distortion)
     return {
         "camera_model": "pinhole",
         "intrinsics": [float(value) for value in (fu, fv, pu, pv)],
-        "distortion_model": "radtan" if distorted else "none",
-        "distortion_coeffs": padded_coefficients(camera.distortion, _RADTAN) if distorted else [],
+        "distortion_model": "radtan",  # even without distortion: `AslamCamera` has no geometry with `none`
+        "distortion_coeffs": padded_coefficients(camera.distortion, _RADTAN),
         "resolution": [camera.width, camera.height],
         "rostopic": f"/{camera.name}/image_raw",
     }

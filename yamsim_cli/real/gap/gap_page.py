@@ -187,8 +187,11 @@ def _pictures_section(figures: Mapping[str, Any] | None, pictures: Sequence[Capt
     if figures is None:
         return None
     sentences = [f"{figures['photos']} photos of camera {figures['camera']} were compared."]
+    if without := figures["without_pose"]:
+        sentences.append(f"{without} were left out, because the pose of their camera is not known.")
     for key, what, unit in (
         ("outline_px", "Outline to the photo's edges", "px"),
+        ("measured_outline_px", "The same for the arm at its measured joints, without a gap", "px"),
         ("iou", "Overlap with the arm at its measured joints", ""),
     ):
         if (found := figures[key]) is not None:
