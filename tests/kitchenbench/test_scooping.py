@@ -22,7 +22,7 @@ from yamsim_cli.core.expert.skills.planning_context import SkillFailedError
 from yamsim_cli.core.geometry.se3 import pose, rotation_z
 from yamsim_cli.kitchenbench import scoop
 from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene
-from yamsim_cli.kitchenbench.object_poses import feasible_poses
+from yamsim_cli.kitchenbench.object_poses import feasible_poses, origin_in_world
 from yamsim_cli.kitchenbench.pasta import fillings_of, is_body, is_pile, pasta_config_of
 from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
@@ -86,8 +86,29 @@ def test_a_stroke_stays_between_the_walls_of_the_dish(name: str, epoch: int, is_
         half, floor = configs["pile"].shape.size_mm[1] / 2000, configs["pile"].shape.wall_mm / 1000
         assert (np.abs(along) < half).all()
         assert np.argmax(along) in (3, 4, 5) and along[1] < 0.0
-        assert min(tip[2] for tip in tips) >= floor - 1e-9
+        # A cup presses onto the floor, a third of the thickness of the dish.
+        assert min(tip[2] for tip in tips) >= floor - (0.0 if is_spoon else 0.002) - 1e-9
         assert tips[-1][2] > 0.1
+
+
+def test_a_cup_keeps_a_distance_from_the_long_walls_and_a_spoon_comes_nearer(base: Any) -> None:
+    reached = {}
+    for name in (LEVEL, SHALLOW):
+        blueprint = blueprint_of(SCENES[name])
+        configs = {
+            item.name: pasta_config_of(item, blueprint, base.locations) for item in blueprint.objects if is_body(item)
+        }
+        tool = tool_of(configs["tool"], pose(rotation=[[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]))
+        assert tool is not None
+        # The dish is 144 mm wide inside. The cup's radius is 39 mm, and half of the spoon's width 20 mm.
+        reached[name] = [aside for aside in (0.024, -0.024, 0.034, -0.034, 0.045) if tool.fits(configs["pile"], aside)]
+    assert reached == {LEVEL: [0.024, -0.024], SHALLOW: [0.024, -0.024, 0.034, -0.034, 0.045]}
+
+
+def test_the_origin_is_nearer_to_the_arms_where_the_container_is_far_from_the_pile() -> None:
+    ahead = {name: origin_in_world(blueprint_of(scene))[0] for name, scene in SCENES.items()}
+    assert ahead.pop("scoop-pasta-far-container") == 0.22
+    assert set(ahead.values()) == {0.28}
 
 
 def test_a_cup_tilts_towards_the_direction_of_the_grasp(base: Any) -> None:
