@@ -49,7 +49,7 @@ _POUR_STEP = math.radians(30)  # rad, of a cup's tilt in an action; no other val
 _MAX_WAITS = 2  # actions in which the tool waits at its largest tilt, for pieces that slide slowly
 # Shares of a way with pieces, and without, at which the tool's pose is set: thirds, and the middle.
 _WAY_SHARES, _EMPTY_WAY_SHARES = (0.33, 0.67), (0.5,)
-_MAX_SCOOPS = 14  # scoops in all: more than fit in the benchmark's 120 actions, of which one takes 12 to 20
+_MAX_SCOOPS = 14  # scoops in all: more than fit in the benchmark's 120 actions, of which one takes 10 to 24
 _MAX_EMPTY = 4  # scoops in a row that bring nothing, after which the expert gives up
 
 
