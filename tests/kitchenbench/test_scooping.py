@@ -20,9 +20,9 @@ from tests.kitchenbench.realizations import blueprint_of, seed_of
 from yamsim_cli.core.config.program_task import Role
 from yamsim_cli.core.expert.skills.planning_context import SkillFailedError
 from yamsim_cli.core.geometry.se3 import pose, rotation_z
-from yamsim_cli.kitchenbench import scoop
+from yamsim_cli.kitchenbench import scoop, scoop_strokes
 from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene
-from yamsim_cli.kitchenbench.object_poses import feasible_poses
+from yamsim_cli.kitchenbench.object_poses import feasible_poses, origin_in_world
 from yamsim_cli.kitchenbench.pasta import fillings_of, is_body, is_pile, pasta_config_of
 from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
@@ -86,8 +86,29 @@ def test_a_stroke_stays_between_the_walls_of_the_dish(name: str, epoch: int, is_
         half, floor = configs["pile"].shape.size_mm[1] / 2000, configs["pile"].shape.wall_mm / 1000
         assert (np.abs(along) < half).all()
         assert np.argmax(along) in (3, 4, 5) and along[1] < 0.0
-        assert min(tip[2] for tip in tips) >= floor - 1e-9
+        # A cup presses onto the floor, a third of the thickness of the dish.
+        assert min(tip[2] for tip in tips) >= floor - (0.0 if is_spoon else 0.002) - 1e-9
         assert tips[-1][2] > 0.1
+
+
+def test_a_cup_keeps_a_distance_from_the_long_walls_and_a_spoon_comes_nearer(base: Any) -> None:
+    reached = {}
+    for name in (LEVEL, SHALLOW):
+        blueprint = blueprint_of(SCENES[name])
+        configs = {
+            item.name: pasta_config_of(item, blueprint, base.locations) for item in blueprint.objects if is_body(item)
+        }
+        tool = tool_of(configs["tool"], pose(rotation=[[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]))
+        assert tool is not None
+        # The dish is 144 mm wide inside. The cup's radius is 39 mm, and half of the spoon's width 20 mm.
+        reached[name] = [aside for aside in (0.024, -0.024, 0.034, -0.034, 0.045) if tool.fits(configs["pile"], aside)]
+    assert reached == {LEVEL: [0.024, -0.024], SHALLOW: [0.024, -0.024, 0.034, -0.034, 0.045]}
+
+
+def test_the_origin_is_nearer_to_the_arms_where_the_container_is_far_from_the_pile() -> None:
+    ahead = {name: origin_in_world(blueprint_of(scene))[0] for name, scene in SCENES.items()}
+    assert ahead.pop("scoop-pasta-far-container") == 0.22
+    assert set(ahead.values()) == {0.28}
 
 
 def test_a_cup_tilts_towards_the_direction_of_the_grasp(base: Any) -> None:
@@ -188,6 +209,44 @@ def test_a_way_with_a_contact_at_its_start_or_end_is_searched(
     job.use(hand, Mock())
     list(job.travel(np.ones(6)))
     assert ways[0] == way
+
+
+@pytest.mark.parametrize(("is_spoon", "grams", "poses"), [(False, 0.0, 1), (False, 7.0, 2), (True, 0.0, 2)])
+def test_an_empty_cup_returns_by_one_pose(
+    is_spoon: bool, grams: float, poses: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counts = []
+
+    def plan_knots(*args: Any) -> Any:
+        counts.append(len(args[4]))
+        return np.zeros((len(args[4]), 6))
+
+    monkeypatch.setattr(scoop, "plan_knots", plan_knots)
+    context: Any = SimpleNamespace(find_contact=lambda *args: None, make_segment=lambda *args, **options: None)
+    hand = Mock(joints=np.zeros(6), opening=0.0, pinch_pose=lambda joints: np.eye(4))
+    hand.held_object.T_thing_in_pinch = np.eye(4)
+    job = scoop._Job(context, "tool", "pile", "container", Mock(grams_in=lambda holder: grams))
+    job.use(hand, Mock(is_spoon=is_spoon))
+    list(job.travel(np.ones(6)))
+    assert counts == [poses]
+
+
+def test_a_cup_tilts_nearer_to_the_wall_only_if_it_cannot_tilt_over_the_middle(monkeypatch: pytest.MonkeyPatch) -> None:
+    context: Any = None
+    source: Any = Mock(joints=np.zeros(6))
+    tool: Any = Mock(is_spoon=False)
+    monkeypatch.setattr(scoop_strokes, "_cup_release", lambda *args: [args[5]])
+    for reached, expected in ((0.02, 0.02), (0.045, 0.045)):
+        monkeypatch.setattr(
+            scoop_strokes,
+            "plan_knots",
+            lambda *args, reached=reached: np.full((9, 6), args[4][0]) if args[4][0] == reached else np.zeros((0, 6)),
+        )
+        found = scoop_strokes.plan_release(context, source, tool, "container", 0.0)
+        assert found is not None and found.joints[0, 0] == expected
+    monkeypatch.setattr(scoop_strokes, "plan_knots", lambda *args: np.full((9, 6), args[4][0]))
+    found = scoop_strokes.plan_release(context, source, tool, "container", 0.0)
+    assert found is not None and found.joints[0, 0] == 0.02
 
 
 def test_without_a_free_hand_the_message_says_so() -> None:

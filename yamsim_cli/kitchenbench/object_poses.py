@@ -36,9 +36,10 @@ SNAP_AHEAD, SNAP_BESIDE = 0.30, 0.0
 #: can tilt it by 135 degrees or more over the vessel. At x = 0.45 m, this would be 120 degrees.
 POUR_AHEAD, POUR_BESIDE = 0.33, -0.08
 
-#: Position of that origin, m, for scooping: the left arm reaches the tool, the pile and the container, which lies up to
-#: 0.32 m to the right of the origin.
-SCOOP_AHEAD, SCOOP_BESIDE = 0.28, 0.31
+#: Position of that origin, m, for scooping: the left arm reaches the tool, the pile and the container. Where the
+#: container's x is beyond `_FAR_CM`, the arm tilts a cup over it only if the origin is nearer to the arms.
+SCOOP_AHEAD, FAR_SCOOP_AHEAD, SCOOP_BESIDE = 0.28, 0.22, 0.31
+_FAR_CM = 19.0  # cm, from the origin: `far-container` begins at 20, and the other scenes end at 18
 
 _STEP = 0.002  # m, of displacements
 _RACK_GAP = 0.005  # m, between a rack and a displaced object
@@ -59,7 +60,8 @@ def origin_in_world(blueprint: SceneBlueprint) -> tuple[float, float]:
     if blueprint.target_kind == POUR:
         return (POUR_AHEAD, POUR_BESIDE)
     if blueprint.target_kind == SCOOP:
-        return (SCOOP_AHEAD, SCOOP_BESIDE)
+        far = any(item.role == "container" and item.x_cm > _FAR_CM for item in blueprint.objects)
+        return (FAR_SCOOP_AHEAD if far else SCOOP_AHEAD, SCOOP_BESIDE)
     return (LID_AHEAD, LID_BESIDE) if blueprint.target_kind == SEAL else (AHEAD, BESIDE)
 
 

@@ -40,15 +40,16 @@ _LAYING_CLEARANCE = 0.01  # m, by which each finger opens to lay the tool down; 
 _JOINT_STEP = 0.65  # rad, largest change of a joint in an action of a stroke or on the way; no other value is recorded
 # m, distances of a stroke from the middle of the dish, in the order of preference at equal scores: the dish is 144 mm
 # wide inside.
-_ASIDE = (0.0, 0.008, -0.008, 0.016, -0.016, 0.03, -0.03, 0.045, -0.045)
+_ASIDE = (0.0, 0.008, -0.008, 0.016, -0.016, 0.024, -0.024, 0.034, -0.034, 0.045, -0.045)
 _AHEAD = 0.0  # m from the middle of the dish along the heading; pieces beyond it count for a stroke
 _BEHIND = -0.03  # m from the middle of the dish along the heading; pieces before it hinder a tool that goes down there
 _FAILED_COST = 6  # pieces, by which the score is less for a line on which a stroke brought nothing: it would fail again
 _SPOON_STEP = math.radians(45)  # rad, of a spoon's tilt in an action; no other value is recorded
-_POUR_STEP = math.radians(20)  # rad, of a cup's tilt in an action; no other value is recorded
+_POUR_STEP = math.radians(30)  # rad, of a cup's tilt in an action; no other value is recorded
 _MAX_WAITS = 2  # actions in which the tool waits at its largest tilt, for pieces that slide slowly
-_WAY_SHARES = (0.33, 0.67)  # of the way to the container and back, at which the tool's pose is set: thirds
-_MAX_SCOOPS = 14  # scoops in all: more than fit in the benchmark's 120 actions, of which one takes 12 to 20
+# Shares of a way with pieces, and without, at which the tool's pose is set: thirds, and the middle.
+_WAY_SHARES, _EMPTY_WAY_SHARES = (0.33, 0.67), (0.5,)
+_MAX_SCOOPS = 14  # scoops in all: more than fit in the benchmark's 120 actions, of which one takes 10 to 24
 _MAX_EMPTY = 4  # scoops in a row that bring nothing, after which the expert gives up
 
 
@@ -65,8 +66,8 @@ class _Stroke:
     line: tuple[int, int]
 
 
-class _NoStrokeError(SkillFailedError):
-    """No stroke is possible with the tool as it lies in the hand, where it turns little by little."""
+class _NoMotionError(SkillFailedError):
+    """No stroke or no tilt is possible with the tool as it lies in the hand, where it turns little by little."""
 
 
 class Scoop(Skill):
@@ -101,7 +102,7 @@ class Scoop(Skill):
                 moved = pieces.grams_in(into)
                 try:
                     yield from job.scoop_once(missing, self.tolerance)
-                except _NoStrokeError:
+                except _NoMotionError:
                     yield from job.lay_down(T_start)
                 empty = 0 if pieces.grams_in(into) > moved else empty + 1
         finally:
@@ -177,6 +178,8 @@ class _Job:
             ahead = np.array((math.cos(heading), math.sin(heading), 0.0))
             along, left = off @ ahead, off @ np.array((-ahead[1], ahead[0], 0.0))
             for place, aside in enumerate(_ASIDE):
+                if not self.tool.fits(dish, aside):
+                    continue
                 near = np.abs(left - aside) < self.tool.half_width
                 score = int((near & (along > _AHEAD)).sum()) - int((near & (along < _BEHIND)).sum())
                 score -= _FAILED_COST * ((direction, place) in self.failed)
@@ -204,7 +207,7 @@ class _Job:
         T = held.T_thing_in_pinch
         stroke = self.best_stroke(T, hand.joints, hand.opening)
         if stroke is None:
-            raise _NoStrokeError(FailureCause.UNREACHABLE, f"no free stroke of the {self.tool_name}")
+            raise _NoMotionError(FailureCause.UNREACHABLE, f"no free stroke of the {self.tool_name}")
         yield from self.travel(stroke.joints[0])
         yield from self.follow(stroke.joints[1:])
         held = context.measure_held_object(hand)
@@ -224,9 +227,7 @@ class _Job:
             held = context.measure_held_object(hand)
         tilt = self.release(self.into, held.T_thing_in_pinch, hand.joints, hand.opening, stroke.heading)
         if tilt is None:
-            raise SkillFailedError(
-                FailureCause.UNREACHABLE, f"no way to tilt the {self.tool_name} over the {self.into}"
-            )
+            raise _NoMotionError(FailureCause.UNREACHABLE, f"no way to tilt the {self.tool_name} over the {self.into}")
         yield from self.travel(tilt.joints[0])
         yield from self.tilt(tilt, lambda: self.carried() == 0)
 
@@ -284,7 +285,7 @@ class _Job:
         T0, T1 = (hand.pinch_pose(at) @ held.T_thing_in_pinch for at in (hand.joints, joints))
         turn = rotation_vector(T0[:3, :3].T @ T1[:3, :3])
         poses = []
-        for share in _WAY_SHARES:
+        for share in _WAY_SHARES if self.tool.is_spoon or self.carried() else _EMPTY_WAY_SHARES:
             T = T0.copy()
             T[:3, 3] += share * (T1[:3, 3] - T0[:3, 3])
             T[2, 3] = max(T0[2, 3], T1[2, 3])

@@ -28,15 +28,17 @@ _CHECKS = (0.5, 1.0)  # shares of the way between two poses at which contacts ar
 
 # Poses of a stroke: distance of the tip from the dish's far wall along the heading, m; its height over the dish's
 # floor, m; and the tool's angle, degrees: the spoon's pitch, and the cup's tilt. With 85 degrees, the side of the cup
-# lies on the floor, and with less, its foot.
+# lies on the floor, and with less, its foot, so that its rim rises over the pieces. It turns in the hand by some
+# degrees. Along the floor, its command is therefore 94 degrees or more, and 2 mm below the floor.
 _SPOON_STROKE = (
     (-0.170, 0.080, -45), (-0.170, 0.004, -45), (-0.080, 0.002, -25), (-0.015, 0.004, -18), (-0.010, 0.030, 8),
     (-0.050, 0.130, 16),
 )  # fmt: skip
 _CUP_STROKE = (
-    (-0.150, 0.060, 118), (-0.150, 0.001, 118), (-0.090, 0.000, 104), (-0.012, 0.000, 97), (-0.004, 0.001, 86),
-    (-0.004, 0.033, 65), (-0.030, 0.130, 60),
+    (-0.150, 0.060, 118), (-0.150, 0.001, 114), (-0.110, -0.001, 98), (-0.060, -0.002, 95), (-0.012, -0.002, 94),
+    (-0.004, 0.001, 86), (-0.004, 0.020, 72), (-0.004, 0.040, 62), (-0.030, 0.130, 60),
 )  # fmt: skip
+_WALL_CLEARANCE = 0.004  # m, from a tool to the long walls of a dish: a cup that rubs on a wall rises over pieces
 _SPOON_LEANS = tuple(math.radians(angle) for angle in (15, 30, -15, -30))  # rad, of the hand along the spoon
 # Directions from which a hand may grasp a cup: pads lie flat on its collision boxes.
 _CUP_AZIMUTHS = 8
@@ -60,7 +62,9 @@ _LAYING_OVER = 0.004  # m, of a spoon over its first place when the hand opens, 
 _LAYING_RISE = 0.012  # m, by which a fully rolled spoon is higher than that; no other value is recorded
 _LAYING_WAY = 0.06  # m, of the way straight down to that place; no other value is recorded
 _WAY_COST = 0.3  # rad of tilt that a way longer by 1 rad has to gain: longer ways need more actions
-_LIP_BEHIND = 0.02  # m, of a cup's lip behind the vessel's middle: half of a piece (40 mm), which then topples
+# m, of a cup's lip behind the vessel's middle: half of a piece (40 mm), which then topples, and nearer to the wall
+# where an arm does not reach further
+_LIPS_BEHIND = (0.02, 0.045)
 _LIP_GAP = 0.025  # m, from a cup to the vessel's rim; no other value is recorded
 _TIP_BEHIND = 0.015  # m, of a spoon's tip behind the vessel's middle, so that pieces that slide off fall near it
 _TIP_OVER = 0.03  # m, of a spoon's tip over the vessel's rim; no other value is recorded
@@ -78,12 +82,14 @@ class ScoopTool:
     Attributes:
         tip: the point (3,) in the tool's frame that goes first: a spoon's tip, or a point of a cup's rim, m.
         half_width: of the swath of a stroke, m.
+        half_size: half of the tool's width, m.
     """
 
     is_spoon: bool
     forward: Array
     tip: Array
     half_width: float
+    half_size: float
 
     def pose_at(self, tip: Array, heading: float, angle: float) -> Array:
         """Return the tool's pose (4, 4) with its tip at a point (3,) in `world`.
@@ -95,6 +101,12 @@ class ScoopTool:
         turn = -angle if self.is_spoon else angle
         R = rotation_from_vector(turn * np.cross((0.0, 0.0, 1.0), ahead)) @ rotation_z(heading - own)
         return pose(tip - R @ self.tip, R)
+
+    def fits(self, dish: ObjectConfig, aside: float) -> bool:
+        """Whether the tool moves along a dish `aside` m from its middle without touching its long walls."""
+        assert isinstance(dish.shape, ContainerShape), "a dish is a container"
+        room = dish.shape.size_mm[0] / 2000 - dish.shape.wall_mm / 1000
+        return abs(aside) + self.half_size + _WALL_CLEARANCE <= room
 
     def stroke(self, dish: ObjectConfig, T_dish: Array, heading: float, aside: float) -> list[Array]:
         """Return the tool's poses (4, 4) of a stroke along a dish that passes `aside` m to the left of its middle."""
@@ -120,12 +132,12 @@ def tool_of(config: ObjectConfig, T_pinch_in_tool: Array) -> ScoopTool | None:
     shape = config.shape
     if isinstance(shape, CutleryShape) and shape.kind == "spoon":
         width, length, _ = (size / 1000 for size in shape.size_mm)
-        return ScoopTool(True, np.array((0.0, 1.0, 0.0)), np.array((0.0, length / 2, 0.008)), width / 2)
+        return ScoopTool(True, np.array((0.0, 1.0, 0.0)), np.array((0.0, length / 2, 0.008)), width / 2, width / 2)
     if isinstance(shape, VesselShape):
         forward = T_pinch_in_tool[:3, 2] * (1.0, 1.0, 0.0)
         forward /= np.linalg.norm(forward)
         radius = shape.diameter_mm / 2000
-        return ScoopTool(False, forward, radius * forward + (0.0, 0.0, shape.height_mm / 1000), 0.8 * radius)
+        return ScoopTool(False, forward, radius * forward + (0.0, 0.0, shape.height_mm / 1000), 0.8 * radius, radius)
     return None
 
 
@@ -184,22 +196,25 @@ def plan_release(
 
     A spoon tilts down by its tip, or to a side. A cup tilts further forward.
     """
-    best: tuple[float, Tilt] | None = None
-    for turn, roll in itertools.product(_RELEASE_TURNS, _ROLLS if tool.is_spoon else (0,)):
-        if tool.is_spoon:
-            angles, poses = _SPOON_ANGLES, _spoon_release(context, tool, vessel, heading + turn, roll)
-        else:
-            angles, poses = _CUP_ANGLES, _cup_release(context, source, tool, vessel, heading + turn)
-        rows = plan_knots(context, source.hand, source.opening, source.load, poses, source.joints)
-        largest = angles[len(rows) - 1] if len(rows) else 0.0
-        least, enough = (_SPOON_RELEASE, _SPOON_ENOUGH) if tool.is_spoon else (_CUP_RELEASE, _CUP_ENOUGH)
-        if largest < least:
-            continue
-        # A near start saves actions.
-        score = min(largest, enough) - _WAY_COST * float(np.abs(rows[0] - source.joints).max())
-        if best is None or score > best[0]:
-            best = score, Tilt(np.array(angles[: len(rows)]), rows)
-    return None if best is None else best[1]
+    for behind in (0.0,) if tool.is_spoon else _LIPS_BEHIND:
+        best: tuple[float, Tilt] | None = None
+        for turn, roll in itertools.product(_RELEASE_TURNS, _ROLLS if tool.is_spoon else (0,)):
+            if tool.is_spoon:
+                angles, poses = _SPOON_ANGLES, _spoon_release(context, tool, vessel, heading + turn, roll)
+            else:
+                angles, poses = _CUP_ANGLES, _cup_release(context, source, tool, vessel, heading + turn, behind)
+            rows = plan_knots(context, source.hand, source.opening, source.load, poses, source.joints)
+            largest = angles[len(rows) - 1] if len(rows) else 0.0
+            least, enough = (_SPOON_RELEASE, _SPOON_ENOUGH) if tool.is_spoon else (_CUP_RELEASE, _CUP_ENOUGH)
+            if largest < least:
+                continue
+            # A near start saves actions.
+            score = min(largest, enough) - _WAY_COST * float(np.abs(rows[0] - source.joints).max())
+            if best is None or score > best[0]:
+                best = score, Tilt(np.array(angles[: len(rows)]), rows)
+        if best is not None:
+            return best[1]
+    return None
 
 
 def _spoon_release(context: PlanningContext, tool: ScoopTool, vessel: str, heading: float, roll: int) -> list[Array]:
@@ -213,17 +228,16 @@ def _spoon_release(context: PlanningContext, tool: ScoopTool, vessel: str, headi
 
 
 def _cup_release(
-    context: PlanningContext, source: HeldSource, tool: ScoopTool, vessel: str, heading: float
+    context: PlanningContext, source: HeldSource, tool: ScoopTool, vessel: str, heading: float, behind: float
 ) -> list[Array]:
-    """Return the poses (4, 4) of a cup that tilts over a vessel, with its lip behind the middle."""
+    """Return the poses (4, 4) of a cup that tilts over a vessel, with its lip `behind` m behind the middle."""
     ahead = np.array((math.cos(heading), math.sin(heading), 0.0))
     config, T_vessel = context.object_configs[vessel], context.world.pose(vessel)
-    behind = opening_radius(config) - _LIP_BEHIND
     tall, rim = height_of(context.object_configs[source.load.thing]), T_vessel[2, 3] + height_of(config)
     poses = []
     for angle in _CUP_ANGLES:
-        lip = T_vessel[:3, 3] - _LIP_BEHIND * ahead
-        lip[2] = rim + lip_height(angle, tall, behind, _LIP_GAP)
+        lip = T_vessel[:3, 3] - behind * ahead
+        lip[2] = rim + lip_height(angle, tall, opening_radius(config) - behind, _LIP_GAP)
         poses.append(tool.pose_at(lip, heading, angle))
     return poses
 
