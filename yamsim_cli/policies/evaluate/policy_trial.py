@@ -3,7 +3,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from yamsim_cli.core.attempt_data import ActionSequence, Attempt, AttemptJob
+from yamsim_cli.core.attempt_data import ActionSequence, Attempt, AttemptJob, StepState
 from yamsim_cli.core.closable import Closable
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
@@ -131,12 +131,16 @@ class TrialRunner(Closable):
 
     def run(self, job: AttemptJob) -> TrialResult:
         """Run one trial. The expert runs first only if it is the policy, or if distractors must leave room for it."""
+        return self.run_with_states(job)[0]
+
+    def run_with_states(self, job: AttemptJob) -> tuple[TrialResult, tuple[StepState, ...]]:
+        """Run one trial as `run` does, and return its result and the state of every recorded frame."""
         simulator, policy = self.simulators.get(job), self.policy
         trial = PrivilegedTrial(simulator, sample_attempt(simulator, job))
         scripted = isinstance(policy, ExpertPolicy)
         if trial.attempt.layout is None or (scripted and not trial.expert_attempt.recorded_states):
             failed = OutcomeRecord.from_outcome(trial.expert_attempt.outcome)
-            return TrialResult(trial.attempt, failed, TrialEnd.NOT_STARTED)
+            return TrialResult(trial.attempt, failed, TrialEnd.NOT_STARTED), ()
         attempt = trial.expert_attempt.attempt if simulator.distractor_placer else trial.attempt
         start = policy.prepare_trial(trial) if isinstance(policy, PrivilegedPolicy) else None
         if start is not None:
@@ -151,7 +155,7 @@ class TrialRunner(Closable):
         if ended in POLICY_FAULT_ENDS:
             record = record.model_copy(update={"success": False, "cause": ended.value, "detail": fault.text})
         actions = episode.executed_actions if episode.ticks else None
-        return TrialResult(
+        trial_result = TrialResult(
             attempt,
             record,
             ended,
@@ -165,6 +169,7 @@ class TrialRunner(Closable):
             offset_in_hand,
             self._chunking,
         )
+        return trial_result, result.states
 
     def _drive_episode(
         self, simulator: Simulator, attempt: Attempt, seconds: list[float]
