@@ -11,6 +11,7 @@ from typing import Any
 from yamsim_cli.camera_rendering import require_fixed_plates
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.progress import Progress
+from yamsim_cli.core.scene.build import with_mesh_descriptions
 from yamsim_cli.core.statistics import THRESHOLDS
 from yamsim_cli.session_opener import SessionOpener
 from yamsim_cli.trials import trial_settings
@@ -55,6 +56,8 @@ def open_evaluation_session(
     renders = renders or any(may_read_images(name) for name in (choice.name, *others))
     session = opener.open(config, renders=renders, wrist=True, **given)
     require_fixed_plates(session.config)
+    if training is not None and training.meshes and renders:
+        session = with_mesh_descriptions(session)
     if training is not None and (warning := training.warning(session.config)):
         opener.notify(warning)
     return session, training
