@@ -33,6 +33,7 @@ class TrainingSettings:
         quality: values of the rendering quality, as in the key `render` of a recording's `config.yaml`.
         names: the names of the rig, the task and the grasp.
         meshes: asset set -> description of the shown meshes; empty if unknown.
+        cameras: names of the recorded cameras; None if unknown.
     """
 
     source: str
@@ -40,6 +41,7 @@ class TrainingSettings:
     quality: Mapping[str, Any]
     names: Mapping[str, str]
     meshes: ShownMeshes = field(default_factory=dict)
+    cameras: tuple[str, ...] | None = None
 
     def defaults(self, size: Any, quality: str | None) -> dict[str, Any]:
         """Return `size` and `quality` for a session: the given values, or the values of the training dataset."""
@@ -133,7 +135,8 @@ def _settings_from_json(data: Mapping[str, Any], source: str) -> TrainingSetting
     width, height = data["size_px"]
     names = {key: str(data[key]) for key in ("rig", "task", "grasp")}
     meshes = {str(name): str(text) for name, text in (data.get("meshes") or {}).items()}
-    return TrainingSettings(source, (int(width), int(height)), dict(data["quality"]), names, meshes)
+    cameras = tuple(str(name) for name in data["cameras"]) if "cameras" in data else None
+    return TrainingSettings(source, (int(width), int(height)), dict(data["quality"]), names, meshes, cameras)
 
 
 def _describe_meshes(meshes: ShownMeshes, names: Sequence[str]) -> str:
