@@ -135,6 +135,25 @@ def test_as_many_workers_as_cores_and_memory_allow(
     assert (check.figures["workers"], check.health) == (workers, health)
 
 
+@pytest.mark.parametrize(
+    ("memory", "told"),
+    [
+        (None, "yamsim record --quality photo --workers 8: 1.8 GB for each worker with one renderer"),
+        (20e9, "yamsim record --quality photo --workers 8: 1.8 GB for each worker with one renderer"),
+        (4e9, "yamsim record --quality photo --workers 2, limited by memory: 1.8 GB for each worker with one renderer"),
+        (1.1e9, "--quality photo may need more memory than is free: 1.8 GB for each worker with one renderer"),
+    ],
+)
+def test_workers_for_photo_count_the_memory_of_filament(
+    look: Look, monkeypatch: pytest.MonkeyPatch, memory: float | None, told: str
+) -> None:
+    monkeypatch.setattr(doctor, "usable_cores", lambda: 8)
+    monkeypatch.setattr(doctor, "usable_memory", lambda: memory and int(memory))
+    check = look()["workers.photo"]
+    assert (check.detail, check.health) == (told, Health.OK)
+    assert "workers.photo" not in look({"egl": "no library", "osmesa": "no library"})
+
+
 def test_every_extra_is_checked(repository: Path) -> None:
     project = tomllib.loads((repository / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert doctor.EXTRAS.keys() == project["optional-dependencies"].keys()

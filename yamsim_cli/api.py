@@ -203,6 +203,12 @@ def evaluate(
         arm=arm,
     )
     found = evaluate_and_compare(
-        session, choice, compare, trial_timeout, training, lambda: nullcontext(lambda done, total: None)
+        session,
+        choice,
+        compare,
+        trial_timeout,
+        training,
+        lambda: nullcontext(lambda done, total: None),
+        API_SESSION_OPENER.notify,
     )
     return found.report

@@ -93,7 +93,7 @@ def run_health_checks(
         _check_gl(environ),
         _check_meshes(locations),
         _check_disk(out),
-        _check_worker_capacity(),
+        _check_worker_capacity(checks),
     ):
         for check in part:
             checks.append(check)
@@ -175,7 +175,8 @@ def _check_photo() -> HealthCheck:
         # Other qualities work without it. The error names the fix.
         return HealthCheck("photo", Health.OK, f"does not work: {error}")
     memory = f"{MAX_BYTES / 1e9:.1f} GB of memory more for each renderer of a worker"
-    return HealthCheck("photo", Health.OK, f"--quality photo works, by {device}; it takes up to {memory}")
+    detail = f"--quality photo works, by {device}; it takes up to {memory}"
+    return HealthCheck("photo", Health.OK, detail, figures={"memory": float(MAX_BYTES)})
 
 
 def _check_meshes(locations: Locations) -> Iterator[HealthCheck]:
@@ -268,7 +269,8 @@ def write_episodes(place: Path) -> float:
     return worst
 
 
-def _check_worker_capacity() -> Iterator[HealthCheck]:
+def _check_worker_capacity(earlier: Sequence[HealthCheck]) -> Iterator[HealthCheck]:
+    """Yield the number of workers, and another one for quality `photo` if an earlier check says that it works."""
     cores, memory = usable_cores(), usable_memory()
     fit = cores if memory is None else (memory - _RECORDER_BYTES) // _WORKER_BYTES
     best = max(1, min(cores, fit))
@@ -282,6 +284,22 @@ def _check_worker_capacity() -> Iterator[HealthCheck]:
         yield HealthCheck("workers", Health.WARNING, f"{detail}, limited by memory", "more memory", figures)
     else:
         yield HealthCheck("workers", Health.OK, detail, figures=figures)
+    if any(check.name == "photo" and "memory" in check.figures for check in earlier):
+        yield _check_photo_workers(cores, memory)
+
+
+def _check_photo_workers(cores: int, memory: int | None) -> HealthCheck:
+    each = _WORKER_BYTES + MAX_BYTES
+    fit = cores if memory is None else (memory - _RECORDER_BYTES) // each
+    best = max(1, min(cores, fit))
+    amount = f"{each / 1e9:.1f} GB for each worker with one renderer"
+    if fit < 1:
+        detail = f"--quality photo may need more memory than is free: {amount}"
+    else:
+        limit = ", limited by memory" if fit < cores else ""
+        detail = f"yamsim record --quality photo --workers {best}{limit}: {amount}"
+    # Other qualities work with less memory.
+    return HealthCheck("workers.photo", Health.OK, detail, figures={"workers": float(best)})
 
 
 def failed_checks(checks: Sequence[HealthCheck]) -> list[HealthCheck]:

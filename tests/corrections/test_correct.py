@@ -20,6 +20,8 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.reader import open_episode, open_episodes
 from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
+from yamsim_cli.core.episode import execution
+from yamsim_cli.core.episode.episode_rules import REPLAY_RULES
 from yamsim_cli.core.errors import DatasetError, PartialJobError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.workers.executors import InlineExecutor
@@ -141,6 +143,24 @@ def test_the_policys_frames_are_those_of_its_trial_and_the_held_object_stays_in_
     held = [frame["magnet"] for frame in frames]
     assert held[correction.frame - 1]
     assert sum(before and not after for before, after in itertools.pairwise(held)) == 1
+
+
+def test_a_trial_is_simulated_once_and_its_states_are_those_of_its_actions(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The correction begins where the trial's own states say; no second simulation of the trial finds the moment."""
+    choice = PolicyChoice(HALFWAY, POLICIES, time_limit=6.0, arguments={"share": 0.6})
+    job = AttemptJob(SEED_OF_TRIALS, 1)
+    with monkeypatch.context() as patched, CorrectionRunner(session, choice, 0.5) as runner:
+        patched.setattr(execution, "run_with_pushes", lambda *_: pytest.fail("the trial is simulated again"))
+        assert runner.run(job).correction is not None
+    with TrialRunner(session, choice) as trials:
+        trial, states = trials.run_with_states(job)
+        assert trial.actions is not None
+        again = execution.simulate_actions(trials.simulators.get(job), trial.attempt, trial.actions, REPLAY_RULES)
+    assert len(states) == len(again.recorded_states) > 20
+    for one, other in zip(states, again.recorded_states, strict=True):
+        np.testing.assert_array_equal(one.qpos, other.qpos)
 
 
 def test_verify_repeats_the_actions_bit_for_bit_and_finds_another_actor(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.cli.run_cli import yamsim
-from tests.hidden_stations import hidden_station, write_station
+from tests.hidden_stations import calibration_of, hidden_station, write_station
 from tests.rig_photos import CAMERA as BOARD_CAMERA
 from tests.rig_photos import JOINTS, RigPhotographer, looking, standing
 from yamsim_cli.calibration.calibration_file import load_calibration
@@ -77,6 +77,19 @@ def test_flags_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
         ((), "give either --camera or --calibration"),
         (("--camera", "a", "--min-iou", "0.9"), "--min-iou needs --mask-image"),
         (("--camera", "a", "--calibrated-camera", "b"), "--calibrated-camera needs --calibration"),
+    ):
+        done = yamsim("match", tmp_path, *flags)
+        assert done.code == 2
+        assert text in done.err
+
+
+def test_a_calibrations_camera_is_named_by_a_flag_or_after_the_file(locations: Locations, tmp_path: Path) -> None:
+    file, flag = tmp_path / "calibration.yaml", "--calibrated-camera"
+    file.write_text(calibration_of(hidden_station(1, locations)))
+    for flags, text in (
+        (("--calibration", f"{file}:nowhere"), "the calibration has no camera 'nowhere'"),
+        (("--calibration", file, flag, "nowhere"), "the calibration has no camera 'nowhere'"),
+        (("--calibration", f"{file}:top", flag, "side"), f"names camera 'top', and {flag} 'side'; leave one out"),
     ):
         done = yamsim("match", tmp_path, *flags)
         assert done.code == 2

@@ -179,9 +179,19 @@ def load_calibration(path: Path, locations: Locations) -> Calibration:
 
 
 def load_placed_camera(
-    path: Path, camera: str | None, rig: RigConfig, locations: Locations
+    path: Path,
+    camera: str | None,
+    rig: RigConfig,
+    locations: Locations,
+    *,
+    option: str = "--episode-camera",
+    remedy: str = "FILE:CAMERA",
 ) -> tuple[str, PlacedCamera]:
     """Return the name and place of a calibration's camera: that of `path`, written FILE:CAMERA, or `camera`.
+
+    Args:
+        option: that gives `camera`, in messages.
+        remedy: what names the camera of a calibration that has several, in a message.
 
     Raises:
         ConfigError: the calibration is not valid.
@@ -189,7 +199,7 @@ def load_placed_camera(
     """
     file, _, name = str(path).partition(".yaml:")
     if name and camera not in (None, name):
-        raise UsageError(f"--calibration names camera {name!r}, and --episode-camera {camera!r}; leave one out")
+        raise UsageError(f"--calibration names camera {name!r}, and {option} {camera!r}; leave one out")
     found = load_calibration(Path(f"{file}.yaml") if name else path, locations).for_rig(rig, "--calibration")
-    chosen = found.camera(name or camera, "FILE:CAMERA")
+    chosen = found.camera(name or camera, remedy)
     return chosen.name, found.placed_camera(chosen)

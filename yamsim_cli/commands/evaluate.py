@@ -137,7 +137,13 @@ def evaluate(
         )
         films = open_films(video, session.config, overwrite=overwrite) if video else None
         found = evaluate_and_compare(
-            session, choice, others, trial_timeout, training, lambda: progress_bar("trials", "trials")
+            session,
+            choice,
+            others,
+            trial_timeout,
+            training,
+            lambda: progress_bar("trials", "trials"),
+            session_opener.notify,
         )
         report, reports = found.report, found.others
         if films:

@@ -9,7 +9,15 @@ import typer
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.flags.output_files import Overwrite, require_unused_paths
-from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, RigName, session_opener
+from yamsim_cli.flags.session_options import (
+    Json,
+    Margin,
+    Offline,
+    Revision,
+    RigName,
+    StationCalibration,
+    session_opener,
+)
 from yamsim_cli.terminal.console import print_json, print_line, print_note, progress_bar
 
 if TYPE_CHECKING:
@@ -30,10 +38,7 @@ def match(
             help="Calibration of the camera, as for `yamsim overlay`; the arms' boards give its pose.",
         ),
     ] = None,
-    calibration: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE|DIR", help="calibration.yaml of `yamsim calibrate`, in place of --camera."),
-    ] = None,
+    calibration: StationCalibration = None,
     calibrated_camera: Annotated[
         str | None, typer.Option(help="With --calibration: the camera that took the photos, if there are several.")
     ] = None,
@@ -71,7 +76,7 @@ def match(
     where = session_opener.find_locations()
     settings = session_opener.load_rig(rig, where, margin, revision)
 
-    from yamsim_cli.calibration.calibration_file import load_calibration
+    from yamsim_cli.calibration.calibration_file import load_placed_camera
     from yamsim_cli.core.config.cameras.camera import CameraConfig
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.rendering import RenderConfig
@@ -82,8 +87,8 @@ def match(
     quality = load_config(RenderConfig, "quality", "balanced", where)
     placed = None
     if calibration is not None:
-        found = load_calibration(calibration, where).for_rig(settings, "--calibration")
-        placed = found.placed_camera(found.camera(calibrated_camera, "--calibrated-camera"))
+        flag = "--calibrated-camera"
+        _, placed = load_placed_camera(calibration, calibrated_camera, settings, where, option=flag, remedy=flag)
     session_opener.choose_gl_backend(where)
 
     from yamsim_cli.core.scene.blueprint import Blueprint

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ..core.attempt_data import ActionSequence, AttemptJob, AttemptPayload, Outcome
+from ..core.attempt_data import ActionSequence, AttemptJob, AttemptPayload, Outcome, StepState
 from ..core.closable import Closable
 from ..core.config.session import Session
 from ..core.dataset.dataset_paths import lowdim_path
 from ..core.dataset.lowdim import content_hash, dump_frame, load_frame
 from ..core.dataset.records import OutcomeRecord
 from ..core.episode.attempt_payload import build_payload
-from ..core.episode.episode_rules import REPLAY_RULES
-from ..core.episode.execution import simulate_actions, simulate_expert
+from ..core.episode.execution import simulate_expert
 from ..core.episode.runner import require_stated_meshes
 from ..core.episode.simulator import Simulator
 from ..correction_record import POLICY_SUCCEEDED, CorrectionRecord, with_who
@@ -53,19 +52,20 @@ class CorrectionRunner(Closable):
 
     def run(self, job: AttemptJob) -> CorrectionPayload:
         """Run one trial, and correct it if it fails. Only a successful correction has files."""
-        trial = self._trials.run(job)
+        trial, states = self._trials.run_with_states(job)
         if trial.outcome.success:
             detail = "the policy succeeded, so there was nothing to correct"
             update = {"success": False, "cause": POLICY_SUCCEEDED, "detail": detail}
             return _without_correction(trial, trial.outcome.model_copy(update=update))
         if trial.actions is None or trial.ended not in MEASURED_ENDS:
             return _without_correction(trial, trial.outcome)
-        return self._correct(self._trials.simulators.get(job), trial, trial.actions)
+        return self._correct(self._trials.simulators.get(job), trial, trial.actions, states)
 
-    def _correct(self, simulator: Simulator, trial: TrialResult, actions: ActionSequence) -> CorrectionPayload:
+    def _correct(
+        self, simulator: Simulator, trial: TrialResult, actions: ActionSequence, states: Sequence[StepState]
+    ) -> CorrectionPayload:
         timing = simulator.config.task.timing
         every = timing.ticks_per_frame
-        states = simulate_actions(simulator, trial.attempt, actions, REPLAY_RULES).recorded_states
         frame = takeover_frame(states, self._rewind_s, timing.tick_seconds * every)
         tick = frame * every
         before = ActionSequence(actions.ctrl[:tick], actions.magnet[:tick], actions.joints[:tick])

@@ -69,24 +69,19 @@ class Collector:
         self._renderer = ""
 
     @property
-    def remaining_episodes(self) -> int:
-        """Episodes that are still to be recorded, including lost episodes of a resumed dataset."""
+    def remaining(self) -> int:
+        """What `describe_progress` counts and is still missing: episodes, with lost ones of a resumed dataset."""
         return max(0, self._config.episodes - self._sink.episodes) + len(self._lost_attempts)
 
     @property
     def attempts_needed(self) -> int:
         """Smallest number of attempts that are still needed."""
-        return self.remaining_episodes + len(self._sink.lost_lines)
+        return self.remaining + len(self._sink.lost_lines)
 
     @property
     def complete_episodes(self) -> int:
         """Number of episodes that are completely in the dataset."""
         return self._sink.episodes - len(self._lost_attempts)
-
-    @property
-    def remaining(self) -> int:
-        """What `describe_progress` counts, and is still missing."""
-        return self.remaining_episodes
 
     def describe_progress(self) -> str:
         """Return how much is complete, as a clause for messages."""
@@ -156,7 +151,7 @@ class Collector:
         near = ahead < _MAX_ATTEMPTS_AHEAD * self._config.workers or (
             self._uncertain_attempts and not executor.in_flight
         )
-        return promised < self.remaining_episodes and bool(near)
+        return promised < self.remaining and bool(near)
 
     def _next_attempt(self) -> int:
         if self._queue:
@@ -193,7 +188,7 @@ class Collector:
         if self._sink.lost_lines:
             # The results of these attempts are still unknown.
             return
-        if self.remaining_episodes > len(self._lost_attempts) and (
+        if self.remaining > len(self._lost_attempts) and (
             error := self._limit.stop_error(self._sink.attempts, self._sink.episodes)
         ):
             raise error

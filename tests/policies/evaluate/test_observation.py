@@ -213,7 +213,8 @@ def test_a_policy_may_request_a_rigs_own_camera_by_its_name(
         "        return {'ctrl': observation['joints'], 'done': True}\n"
     )
     with TrialRunner(Session(config, locations), PolicyChoice("seeing.py", tmp_path)) as runner:
-        assert runner.run(AttemptJob(0, 0)).error == ""
+        result = runner.run(AttemptJob(0, 0))
+        assert (result.error, result.read_cameras) == ("", {"top"})
 
 
 def test_a_policy_that_does_not_fit_the_rig_is_closed(

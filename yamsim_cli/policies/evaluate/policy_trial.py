@@ -3,7 +3,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from yamsim_cli.core.attempt_data import ActionSequence, Attempt, AttemptJob
+from yamsim_cli.core.attempt_data import ActionSequence, Attempt, AttemptJob, StepState
 from yamsim_cli.core.closable import Closable
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
@@ -67,6 +67,7 @@ class TrialResult:
         offset_in_hand: position of that object's origin (x, y, z) in `pinch_site` when a hand last grasped it, m; None
             if no hand did.
         chunking: the settings of chunks, with the policy's own values where none are given.
+        read_cameras: cameras whose images the policy has read.
     """
 
     attempt: Attempt
@@ -81,6 +82,7 @@ class TrialResult:
     offset: tuple[float, float] | None = None
     offset_in_hand: tuple[float, float, float] | None = None
     chunking: ChunkSettings | None = None
+    read_cameras: frozenset[str] = frozenset()
 
 
 def describe_policy_error(error: Exception, call_seconds: float, ticks: int) -> tuple[TrialEnd, PolicyFault]:
@@ -116,6 +118,7 @@ class TrialRunner(Closable):
 
     def __init__(self, session: Session, choice: PolicyChoice) -> None:
         self._config, self._choice = session.config, choice
+        self._read_cameras: set[str] = set()
         with output_on_stderr(), kill_forks_at_exit():
             self.policy = make_policy(choice, policy_station(session.config), session.locations)
         self._caller = PolicyCaller(choice.call_seconds, choice.folder)
@@ -131,12 +134,17 @@ class TrialRunner(Closable):
 
     def run(self, job: AttemptJob) -> TrialResult:
         """Run one trial. The expert runs first only if it is the policy, or if distractors must leave room for it."""
+        return self.run_with_states(job)[0]
+
+    def run_with_states(self, job: AttemptJob) -> tuple[TrialResult, tuple[StepState, ...]]:
+        """Run one trial as `run` does, and return its result and the state of every recorded frame."""
         simulator, policy = self.simulators.get(job), self.policy
+        self._read_cameras.clear()
         trial = PrivilegedTrial(simulator, sample_attempt(simulator, job))
         scripted = isinstance(policy, ExpertPolicy)
         if trial.attempt.layout is None or (scripted and not trial.expert_attempt.recorded_states):
             failed = OutcomeRecord.from_outcome(trial.expert_attempt.outcome)
-            return TrialResult(trial.attempt, failed, TrialEnd.NOT_STARTED)
+            return TrialResult(trial.attempt, failed, TrialEnd.NOT_STARTED), ()
         attempt = trial.expert_attempt.attempt if simulator.distractor_placer else trial.attempt
         start = policy.prepare_trial(trial) if isinstance(policy, PrivilegedPolicy) else None
         if start is not None:
@@ -151,7 +159,7 @@ class TrialRunner(Closable):
         if ended in POLICY_FAULT_ENDS:
             record = record.model_copy(update={"success": False, "cause": ended.value, "detail": fault.text})
         actions = episode.executed_actions if episode.ticks else None
-        return TrialResult(
+        trial_result = TrialResult(
             attempt,
             record,
             ended,
@@ -164,7 +172,9 @@ class TrialRunner(Closable):
             final_offset(simulator, result.T_at_end),
             offset_in_hand,
             self._chunking,
+            frozenset(self._read_cameras),
         )
+        return trial_result, result.states
 
     def _drive_episode(
         self, simulator: Simulator, attempt: Attempt, seconds: list[float]
@@ -215,6 +225,7 @@ class TrialRunner(Closable):
         return TrialEnd.DONE if episode.end is None else TrialEnd(episode.end.reason.value), NO_FAULT
 
     def _render_camera(self, simulator: Simulator, attempt: Attempt, qpos: Array, camera: str) -> Image:
+        self._read_cameras.add(camera)
         with self._caller.paused_limit():
             return render_cameras(simulator, attempt, qpos, (camera,))[camera]
 

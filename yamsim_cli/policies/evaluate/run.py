@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from yamsim_cli.camera_rendering import require_fixed_plates
+from yamsim_cli.core.config.recording import SCENE_CAMERA, RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.progress import Progress
+from yamsim_cli.core.scene.build import with_mesh_descriptions
 from yamsim_cli.core.statistics import THRESHOLDS
 from yamsim_cli.session_opener import SessionOpener
 from yamsim_cli.trials import trial_settings
@@ -55,6 +57,8 @@ def open_evaluation_session(
     renders = renders or any(may_read_images(name) for name in (choice.name, *others))
     session = opener.open(config, renders=renders, wrist=True, **given)
     require_fixed_plates(session.config)
+    if training is not None and training.meshes and renders:
+        session = with_mesh_descriptions(session)
     if training is not None and (warning := training.warning(session.config)):
         opener.notify(warning)
     return session, training
@@ -67,12 +71,14 @@ def evaluate_and_compare(
     trial_seconds: float,
     training: TrainingSettings | None,
     watch: Callable[[], AbstractContextManager[Progress]],
+    notify: Callable[[str], None],
 ) -> ComparedEvaluation:
     """Evaluate a policy, and compare it with `others`: policies, or reports `FILE.json` of the same trials.
 
     Args:
         trial_seconds: real time after which a trial's worker counts as hung, s.
         watch: returns a progress display for the trials of one policy.
+        notify: shows a sentence, here the one of `scene_camera_warning`.
 
     Raises:
         UsageError: a report is unreadable, or has other trials. It is raised before any trial runs.
@@ -82,6 +88,8 @@ def evaluate_and_compare(
     def run(one: PolicyChoice) -> tuple[Evaluation, dict[str, Any]]:
         with watch() as progress:
             found = evaluate(session, one, progress, trial_seconds)
+        if warning := scene_camera_warning(found, session.config, training if one is choice else None):
+            notify(warning)
         return found, evaluation_report(found, session.config, THRESHOLDS)
 
     evaluation, report = run(choice)
@@ -91,6 +99,24 @@ def evaluate_and_compare(
     }
     found = compare_with_others(report, others, known, lambda name: run(choice.compared_with(name))[1])
     return ComparedEvaluation(evaluation, report, found)
+
+
+def scene_camera_warning(evaluation: Evaluation, config: RecordConfig, training: TrainingSettings | None) -> str | None:
+    """Return a sentence if a policy has read the scene's camera, which recordings of the rig lack; else None.
+
+    There is none if the training dataset has the scene's camera, or does not name its cameras.
+    """
+    own = config.recorded_cameras
+    if not config.rig.cameras or SCENE_CAMERA in own:
+        return None
+    if training is not None and (training.cameras is None or SCENE_CAMERA in training.cameras):
+        return None
+    if not any(SCENE_CAMERA in result.read_cameras for result in evaluation.results):
+        return None
+    return (
+        f"{evaluation.choice.name} reads the image 'scene', which recordings of rig {config.rig.name!r} do not have; "
+        f"their cameras: {', '.join(own)}. Request these images if the policy was trained on such recordings."
+    )
 
 
 def compare_report_files(names: Sequence[str]) -> tuple[dict[str, Any], list[dict[str, Any]]]:

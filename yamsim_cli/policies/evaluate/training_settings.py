@@ -1,14 +1,15 @@
-"""Size and quality of the images that a policy was trained on, and how its trials differ from them."""
+"""Size, quality and meshes of the images that a policy was trained on, and how its trials differ from them."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.mesh_provenance import ShownMeshes, describe_mesh_content
 from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.reader import read_recording_config
@@ -31,12 +32,16 @@ class TrainingSettings:
         size_px: width and height.
         quality: values of the rendering quality, as in the key `render` of a recording's `config.yaml`.
         names: the names of the rig, the task and the grasp.
+        meshes: asset set -> description of the shown meshes; empty if unknown.
+        cameras: names of the recorded cameras; None if unknown.
     """
 
     source: str
     size_px: tuple[int, int]
     quality: Mapping[str, Any]
     names: Mapping[str, str]
+    meshes: ShownMeshes = field(default_factory=dict)
+    cameras: tuple[str, ...] | None = None
 
     def defaults(self, size: Any, quality: str | None) -> dict[str, Any]:
         """Return `size` and `quality` for a session: the given values, or the values of the training dataset."""
@@ -46,7 +51,10 @@ class TrainingSettings:
         }
 
     def differences(self, config: RecordConfig) -> dict[str, tuple[str, str]]:
-        """Return name of a setting -> its value in trials of `config`, and in training; only unequal ones."""
+        """Return name of a setting -> its value in trials of `config`, and in training; only unequal ones.
+
+        Meshes are compared if both sides state them, for the asset sets that both show.
+        """
         here = describe_recorded_settings(config)
         pairs = {
             "size": (f"{here['size_px'][0]}x{here['size_px'][1]}", f"{self.size_px[0]}x{self.size_px[1]}"),
@@ -57,6 +65,9 @@ class TrainingSettings:
             changed = [key for key, value in here["quality"].items() if self.quality.get(key) != value]
             text = f" ({', '.join(changed)} differ)" if names[0] == names[1] else ""
             pairs["quality"] = (names[0] + text, names[1])
+        shown = config.meshes or {}
+        if changed := [name for name in sorted(self.meshes) if shown.get(name, self.meshes[name]) != self.meshes[name]]:
+            pairs["meshes"] = _describe_meshes(shown, changed), _describe_meshes(self.meshes, changed)
         return {key: pair for key, pair in pairs.items() if pair[0] != pair[1]}
 
     def warning(self, config: RecordConfig) -> str | None:
@@ -116,11 +127,17 @@ def _read_checkpoint_settings(checkpoint: Path, folder: Path) -> TrainingSetting
 def _read_export_settings(export: Path, name: str) -> TrainingSettings | None:
     try:
         return _settings_from_json(json.loads((export / _EXPORT_PROVENANCE).read_bytes())["recorded"], name)
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
 
 
 def _settings_from_json(data: Mapping[str, Any], source: str) -> TrainingSettings:
     width, height = data["size_px"]
     names = {key: str(data[key]) for key in ("rig", "task", "grasp")}
-    return TrainingSettings(source, (int(width), int(height)), dict(data["quality"]), names)
+    meshes = {str(name): str(text) for name, text in (data.get("meshes") or {}).items()}
+    cameras = tuple(str(name) for name in data["cameras"]) if "cameras" in data else None
+    return TrainingSettings(source, (int(width), int(height)), dict(data["quality"]), names, meshes, cameras)
+
+
+def _describe_meshes(meshes: ShownMeshes, names: Sequence[str]) -> str:
+    return ", ".join(f"{name} {describe_mesh_content(meshes[name])}" for name in names)
