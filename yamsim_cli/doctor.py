@@ -176,7 +176,7 @@ def _check_photo() -> HealthCheck:
         return HealthCheck("photo", Health.OK, f"does not work: {error}")
     memory = f"{MAX_BYTES / 1e9:.1f} GB of memory more for each renderer of a worker"
     detail = f"--quality photo works, by {device}; it takes up to {memory}"
-    return HealthCheck("photo", Health.OK, detail, figures={"memory": float(MAX_BYTES)})
+    return HealthCheck("photo", Health.OK, detail, figures={"renderer_bytes": float(MAX_BYTES)})
 
 
 def _check_meshes(locations: Locations) -> Iterator[HealthCheck]:
@@ -284,7 +284,7 @@ def _check_worker_capacity(earlier: Sequence[HealthCheck]) -> Iterator[HealthChe
         yield HealthCheck("workers", Health.WARNING, f"{detail}, limited by memory", "more memory", figures)
     else:
         yield HealthCheck("workers", Health.OK, detail, figures=figures)
-    if any(check.name == "photo" and "memory" in check.figures for check in earlier):
+    if any(check.name == "photo" and "renderer_bytes" in check.figures for check in earlier):
         yield _check_photo_workers(cores, memory)
 
 

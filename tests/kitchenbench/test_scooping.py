@@ -86,7 +86,7 @@ def test_a_stroke_stays_between_the_walls_of_the_dish(name: str, epoch: int, is_
         half, floor = configs["pile"].shape.size_mm[1] / 2000, configs["pile"].shape.wall_mm / 1000
         assert (np.abs(along) < half).all()
         assert np.argmax(along) in (3, 4, 5) and along[1] < 0.0
-        # A cup presses onto the floor, a third of the thickness of the dish.
+        # A cup's command is up to 2 mm below the floor's surface, a third of the floor's thickness.
         assert min(tip[2] for tip in tips) >= floor - (0.0 if is_spoon else 0.002) - 1e-9
         assert tips[-1][2] > 0.1
 

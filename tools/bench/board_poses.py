@@ -34,7 +34,10 @@ def board_pose(folder: Path, options: StationOptions) -> dict[str, Any] | None:
         codes=(0, 4, 6),
     )
     rig = load_config(RigConfig, "rigs", options.rig, Locations.from_environment({}))
-    seen = [image["arms"][0] for image in json.loads(text)["images"]] if text else []
+    # Exit code 4 stands for no board in any picture, and also for a missing resource, without JSON.
+    if not text:
+        raise RuntimeError(f"`yamsim overlay` found nothing and wrote no JSON: run it on {folder}")
+    seen = [image["arms"][0] for image in json.loads(text)["images"]]
     seen = [one for one in seen if one["status"] == "ok"]
     if not seen:
         return None

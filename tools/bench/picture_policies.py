@@ -1,11 +1,13 @@
 """Success of policies from images, by number of demonstrations and by look, in training and in trials.
 
-    python -m tools.bench.picture_policies demos --counts 25 50 100 200
-    python -m tools.bench.picture_policies demos --looks demos_looks/look_1 demos_looks/look_2 --trials photo=25
+    python -m tools.bench.picture_policies demos_images --counts 25 50 100 200
+    python -m tools.bench.picture_policies demos_images --looks demos_looks/look_1 demos_looks/look_2 \
+        --trials photo=25
 
-`demos` is a dataset that docs/training.md records. With `--counts`, `tools.picture_policy` is trained with the first
-demonstrations. With `--looks`, it is trained with the demonstrations alone and with the datasets of `yamsim draw` too,
-and each policy is evaluated in all looks of `LOOKS`. It needs PyTorch. Finished stages in --out are not done again.
+`demos_images` is the dataset that docs/training.md records. With `--counts`, `tools.picture_policy` is trained with the
+first demonstrations. With `--looks`, it is trained with the demonstrations alone and with the datasets of `yamsim draw`
+too, and each policy is evaluated in all looks of `LOOKS`. It needs PyTorch. Finished stages in --out are not done again:
+use another folder for other datasets, steps or numbers of trials.
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ class Training:
     """A policy to train: its name, the datasets, how many episodes of each (None: all), and the number of steps."""
 
     name: str
-    demos: tuple[Path, ...]
+    datasets: tuple[Path, ...]
     episodes: int | None
     steps: int
 
@@ -65,7 +67,7 @@ class Bench:
         weights, log = self.out / f"{training.name}.pt", self.out / f"{training.name}.log"
         if not weights.exists():
             episodes = () if training.episodes is None else ("--episodes", str(training.episodes))
-            command = ("tools.picture_policy", *map(str, training.demos), str(weights), *episodes)
+            command = ("tools.picture_policy", *map(str, training.datasets), str(weights), *episodes)
             _run([*command, "--steps", str(training.steps)], log)
         return [float(loss) for loss in _PRINTED_LOSS.findall(log.read_text())]
 
@@ -125,6 +127,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/picture_policies"))
     given = parser.parse_args()
     special = {look: int(n) for look, n in (text.split("=") for text in given.trials)}
+    if unknown := special.keys() - LOOKS.keys():
+        parser.error(f"--trials: {', '.join(sorted(unknown))}: no such look; valid: {', '.join(LOOKS)}")
     bench = Bench(given.out, given.demos, given.n, special)
     bench.out.mkdir(parents=True, exist_ok=True)
     curve, matrix = [], []
@@ -132,7 +136,7 @@ def main() -> None:
         training = Training(f"first_{count}", (given.demos,), count, given.steps)
         loss = bench.train(training)
         stats = bench.evaluate(training.name, "demonstrations")
-        print(f"{count} demonstrations: {describe(stats)}, loss {loss[-1]}", flush=True)
+        print(f"{count} demonstrations: {describe(stats)}, loss {loss[-1] if loss else 'unknown'}", flush=True)
         curve.append({"kind": "images", "episodes": count, "steps": given.steps, "loss": loss, **stats})
     if curve:
         plot_training(curve, _LOG_EVERY, bench.out / "learning_curve.svg")

@@ -160,7 +160,7 @@ class StationCalibrator:
         return found
 
     def _with_exchange_told(self, started: _Started) -> _Started:
-        """Return a refusal if the arms' exchanged joints explain the pictures better."""
+        """Return `started`; if exchanged joints explain the pictures better, its refusal says so."""
         outcome, overlap = started.outcome, started.outcome.figures.get("overlap")
         if outcome.refusal is None or overlap is None or not has_two_equal_arms(self._rig):
             return started
@@ -209,10 +209,11 @@ class StationCalibrator:
                 f"{len(frames)} pictures show different poses of a slow arm; at least {_MIN_FRAMES} are needed: give "
                 "more or longer episodes"
             )
-        if self._does_reference_stand_still(frames):
+        if self._is_left_arm_still(frames):
             arm = self._rig.arms[self._rig.recording_order[0]].name
             return refused(
-                f"the left arm ({arm}), in whose base poses are given, never moves: give episodes in which both arms "
+                f"no joint of the left arm ({arm}), in whose base poses are given, moves by "
+                f"{math.degrees(_MIN_MOTION):.0f} degrees in the chosen pictures: give episodes in which both arms "
                 "move; if the pictures show it move, the arms are exchanged: import the recording with --swap-arms"
             )
         if changed < _MIN_CHANGED or not any(len(mask.points) for mask in prepared.masks):
@@ -238,8 +239,8 @@ class StationCalibrator:
             )
         return self._first_fit(name, model, known, prepared, hypotheses, figures)
 
-    def _does_reference_stand_still(self, frames: Sequence[ChosenFrame]) -> bool:
-        """Return whether the left of two arms stands still in all pictures.
+    def _is_left_arm_still(self, frames: Sequence[ChosenFrame]) -> bool:
+        """Return whether the left of two arms stands still in the chosen pictures.
 
         Then only edges on an unknown background and the assumed distance of the bases tell where its base is.
         """

@@ -190,8 +190,8 @@ def load_placed_camera(
     """Return the name and place of a calibration's camera: that of `path`, written FILE:CAMERA, or `camera`.
 
     Args:
-        option: that gives `camera`, in messages.
-        remedy: what names the camera of a calibration that has several, in a message.
+        option: flag that gives `camera`, for messages.
+        remedy: flag or notation with which to choose one of several cameras, for messages.
 
     Raises:
         ConfigError: the calibration is not valid.

@@ -50,7 +50,7 @@ _OPACITY = 0.35  # of the arms over a picture, 0..1
 _JPEG_QUALITY = 85  # 0..100
 _PAGE_PX = 460  # width of a picture on the page
 _UNKNOWN = "\N{EM DASH}"
-_INTERVALS = (
+_FIGURES_TEXT = (
     "\N{PLUS-MINUS SIGN} is the half width of a 95 % interval. The outline is the median distance of the rendered "
     "arms' outlines to the pictures' edges."
 )
@@ -298,8 +298,8 @@ def _cameras_section(calibration: Calibration) -> Markup:
         [
             one.name,
             *_pose_cells(one),
-            _within(one.K[0][0], one.K[0][0] * one.focal_95_percent / 100, 1),
-            _within(one.delay_ms, one.delay_95_ms, 0),
+            _with_interval(one.K[0][0], one.K[0][0] * one.focal_95_percent / 100, 1),
+            _with_interval(one.delay_ms, one.delay_95_ms, 0),
             f"{one.outline_px:.2f}",
             str(one.frames),
         ]
@@ -307,7 +307,7 @@ def _cameras_section(calibration: Calibration) -> Markup:
     ]
     place = f"position in the base of {calibration.reference}, mm"
     heads = ("camera", place, "turn, degrees", "focal length, px", "delay, ms", "outline, px", "pictures")
-    return html_section("Fixed cameras", html_tag("p", _INTERVALS), html_table(heads, cells))
+    return html_section("Fixed cameras", html_tag("p", _FIGURES_TEXT), html_table(heads, cells))
 
 
 def _wrist_cameras_section(calibration: Calibration) -> Markup | None:
@@ -331,15 +331,15 @@ def _arms_section(calibration: Calibration) -> Markup:
     cells = []
     for arm in calibration.arms:
         rows = zip(arm.joint_offsets_deg, arm.joint_offsets_95_deg, arm.joint_offsets_estimated, strict=True)
-        offsets = [_within(value, width, 2) if estimated else _UNKNOWN for value, width, estimated in rows]
+        offsets = [_with_interval(value, width, 2) if estimated else _UNKNOWN for value, width, estimated in rows]
         is_reference = arm.name == calibration.reference
         base = ["the reference", ""] if is_reference else _pose_cells(arm)
         cells.append([arm.name, *base, "0", *offsets[1:]])
     joints = [f"joint {number}" for number in range(1, max(len(row) for row in cells) - 2)]
-    heads = ("arm", f"base in that of {calibration.reference}, mm", "turn, degrees", *joints)
+    heads = ("arm", f"position of the base in the base of {calibration.reference}, mm", "turn, degrees", *joints)
     text = (
-        "Joint offsets, in degrees, are measured minus true joints. That of joint 1 is 0 by definition. "
-        f"The pictures do not determine those with {_UNKNOWN}."
+        "Joint offsets, in degrees, are measured minus true joints. The offset of joint 1 is 0 by definition. "
+        f"The pictures do not determine offsets marked {_UNKNOWN}."
     )
     return html_section("Arms", html_tag("p", text), html_table(heads, cells))
 
@@ -347,11 +347,11 @@ def _arms_section(calibration: Calibration) -> Markup:
 def _pose_cells(body: CalibratedCamera | CalibratedWristCamera | CalibratedArm) -> list[str]:
     """Return the position, mm, and the interval of the turn, degrees."""
     values = zip(body.position, body.position_95_mm, strict=True)
-    place = ", ".join(_within(1000 * value, width, 1) for value, width in values)
+    place = ", ".join(_with_interval(1000 * value, width, 1) for value, width in values)
     return [place, f"\N{PLUS-MINUS SIGN}\N{NO-BREAK SPACE}{max(body.rotation_95_deg):.2f}"]
 
 
-def _within(value: float, width: float, digits: int) -> str:
+def _with_interval(value: float, width: float, digits: int) -> str:
     return f"{value:.{digits}f}\N{NO-BREAK SPACE}\N{PLUS-MINUS SIGN}\N{NO-BREAK SPACE}{width:.{digits}f}"
 
 

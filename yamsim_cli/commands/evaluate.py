@@ -41,8 +41,8 @@ def evaluate(
         Path | None,
         typer.Option(
             metavar="DATASET",
-            help="The policy's training dataset: sets image size and quality, unless their flags do, and "
-            "reports differences.  [default: the dataset in the policy's config or checkpoint]",
+            help="The policy's training dataset: gives image size and quality, unless flags do. eval reports how "
+            "trials differ from it.  [default: the dataset in the policy's config or checkpoint]",
         ),
     ] = None,
     execute: policy_flags.Execute = None,

@@ -9,15 +9,7 @@ import typer
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.flags.output_files import Overwrite, require_unused_paths
-from yamsim_cli.flags.session_options import (
-    Json,
-    Margin,
-    Offline,
-    Revision,
-    RigName,
-    StationCalibration,
-    session_opener,
-)
+from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, RigName, session_opener
 from yamsim_cli.terminal.console import print_json, print_line, print_note, progress_bar
 
 if TYPE_CHECKING:
@@ -38,7 +30,14 @@ def match(
             help="Calibration of the camera, as for `yamsim overlay`; the arms' boards give its pose.",
         ),
     ] = None,
-    calibration: StationCalibration = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR|FILE|FILE:CAMERA",
+            help="In place of --camera, a calibration of `yamsim calibrate`: its camera, bases and joint offsets "
+            "replace the arms' boards.",
+        ),
+    ] = None,
     calibrated_camera: Annotated[
         str | None, typer.Option(help="With --calibration: the camera that took the photos, if there are several.")
     ] = None,

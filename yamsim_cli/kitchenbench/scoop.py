@@ -47,7 +47,7 @@ _FAILED_COST = 6  # pieces, by which the score is less for a line on which a str
 _SPOON_STEP = math.radians(45)  # rad, of a spoon's tilt in an action; no other value is recorded
 _POUR_STEP = math.radians(30)  # rad, of a cup's tilt in an action; no other value is recorded
 _MAX_WAITS = 2  # actions in which the tool waits at its largest tilt, for pieces that slide slowly
-# Shares of a way with pieces, and without, at which the tool's pose is set: thirds, and the middle.
+# Shares of a way at which the tool's pose is set: thirds, and for an empty cup the middle.
 _WAY_SHARES, _EMPTY_WAY_SHARES = (0.33, 0.67), (0.5,)
 _MAX_SCOOPS = 14  # scoops in all: more than fit in the benchmark's 120 actions, of which one takes 10 to 24
 _MAX_EMPTY = 4  # scoops in a row that bring nothing, after which the expert gives up
@@ -180,7 +180,7 @@ class _Job:
             for place, aside in enumerate(_ASIDE):
                 if not self.tool.fits(dish, aside):
                     continue
-                near = np.abs(left - aside) < self.tool.half_width
+                near = np.abs(left - aside) < self.tool.swath_half_width
                 score = int((near & (along > _AHEAD)).sum()) - int((near & (along < _BEHIND)).sum())
                 score -= _FAILED_COST * ((direction, place) in self.failed)
                 options.append((score, heading, aside, (direction, place)))

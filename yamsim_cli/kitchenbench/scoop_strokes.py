@@ -28,8 +28,8 @@ _CHECKS = (0.5, 1.0)  # shares of the way between two poses at which contacts ar
 
 # Poses of a stroke: distance of the tip from the dish's far wall along the heading, m; its height over the dish's
 # floor, m; and the tool's angle, degrees: the spoon's pitch, and the cup's tilt. With 85 degrees, the side of the cup
-# lies on the floor, and with less, its foot, so that its rim rises over the pieces. It turns in the hand by some
-# degrees. Along the floor, its command is therefore 94 degrees or more, and 2 mm below the floor.
+# lies on the floor, and with less, its foot, so that its rim rises over the pieces. The cup turns in the hand by some
+# degrees. Its commanded tilt along the floor is therefore 94 degrees or more, and its height down to 2 mm below it.
 _SPOON_STROKE = (
     (-0.170, 0.080, -45), (-0.170, 0.004, -45), (-0.080, 0.002, -25), (-0.015, 0.004, -18), (-0.010, 0.030, 8),
     (-0.050, 0.130, 16),
@@ -81,15 +81,15 @@ class ScoopTool:
 
     Attributes:
         tip: the point (3,) in the tool's frame that goes first: a spoon's tip, or a point of a cup's rim, m.
-        half_width: of the swath of a stroke, m.
-        half_size: half of the tool's width, m.
+        swath_half_width: of the swath of a stroke, m.
+        tool_half_width: half of the tool's width, m.
     """
 
     is_spoon: bool
     forward: Array
     tip: Array
-    half_width: float
-    half_size: float
+    swath_half_width: float
+    tool_half_width: float
 
     def pose_at(self, tip: Array, heading: float, angle: float) -> Array:
         """Return the tool's pose (4, 4) with its tip at a point (3,) in `world`.
@@ -106,7 +106,7 @@ class ScoopTool:
         """Whether the tool moves along a dish `aside` m from its middle without touching its long walls."""
         assert isinstance(dish.shape, ContainerShape), "a dish is a container"
         room = dish.shape.size_mm[0] / 2000 - dish.shape.wall_mm / 1000
-        return abs(aside) + self.half_size + _WALL_CLEARANCE <= room
+        return abs(aside) + self.tool_half_width + _WALL_CLEARANCE <= room
 
     def stroke(self, dish: ObjectConfig, T_dish: Array, heading: float, aside: float) -> list[Array]:
         """Return the tool's poses (4, 4) of a stroke along a dish that passes `aside` m to the left of its middle."""

@@ -70,7 +70,7 @@ class Collector:
 
     @property
     def remaining(self) -> int:
-        """What `describe_progress` counts and is still missing: episodes, with lost ones of a resumed dataset."""
+        """Number of episodes still to be recorded, including lost episodes of a resumed dataset."""
         return max(0, self._config.episodes - self._sink.episodes) + len(self._lost_attempts)
 
     @property

@@ -1,4 +1,4 @@
-"""The server in a worker's process. With few imports, it soon ignores stop signals and watches its parent."""
+"""The server in a worker's process. It has few imports, so that it ignores stop signals early."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Evaluate a policy and the policies to compare: code of the command `eval` and the function `evaluate`."""
+"""Evaluate a policy and the policies to compare: shared code of the command `eval` and the function `evaluate`."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def evaluate_and_compare(
     Args:
         trial_seconds: real time after which a trial's worker counts as hung, s.
         watch: returns a progress display for the trials of one policy.
-        notify: shows a sentence, here the one of `scene_camera_warning`.
+        notify: shows the warning of `scene_camera_warning`.
 
     Raises:
         UsageError: a report is unreadable, or has other trials. It is raised before any trial runs.
