@@ -6,7 +6,7 @@
 
 `demos_images` is the dataset that docs/training.md records. With `--counts`, `tools.picture_policy` is trained with the
 first demonstrations. With `--looks`, it is trained with the demonstrations alone and with the datasets of `yamsim draw`
-too, and each policy is evaluated in all looks of `LOOKS`. It needs PyTorch. Finished stages in --out are not done again:
+too, and each policy is evaluated in all looks of `LOOKS`. It needs PyTorch. Stages in --out are not done again:
 use another folder for other datasets, steps or numbers of trials.
 """
 
