@@ -272,8 +272,7 @@ def write_episodes(place: Path) -> float:
 def _check_worker_capacity(earlier: Sequence[HealthCheck]) -> Iterator[HealthCheck]:
     """Yield the number of workers, and another one for quality `photo` if an earlier check says that it works."""
     cores, memory = usable_cores(), usable_memory()
-    fit = cores if memory is None else (memory - _RECORDER_BYTES) // _WORKER_BYTES
-    best = max(1, min(cores, fit))
+    fit, best = _worker_counts(cores, memory, _WORKER_BYTES)
     amount = "" if memory is None else f", {memory / 1e9:.1f} GB of memory free"
     detail = f"{cores} cores{amount}: yamsim record --workers {best}"
     figures = {"cores": float(cores), "workers": float(best)} | ({} if memory is None else {"memory": float(memory)})
@@ -288,10 +287,15 @@ def _check_worker_capacity(earlier: Sequence[HealthCheck]) -> Iterator[HealthChe
         yield _check_photo_workers(cores, memory)
 
 
+def _worker_counts(cores: int, memory: int | None, each: int) -> tuple[int, int]:
+    """Return how many workers of `each` bytes fit into memory (if unknown: `cores`), and how many to use."""
+    fit = cores if memory is None else (memory - _RECORDER_BYTES) // each
+    return fit, max(1, min(cores, fit))
+
+
 def _check_photo_workers(cores: int, memory: int | None) -> HealthCheck:
     each = _WORKER_BYTES + MAX_BYTES
-    fit = cores if memory is None else (memory - _RECORDER_BYTES) // each
-    best = max(1, min(cores, fit))
+    fit, best = _worker_counts(cores, memory, each)
     amount = f"{each / 1e9:.1f} GB for each worker with one renderer"
     if fit < 1:
         detail = f"--quality photo may need more memory than is free: {amount}"

@@ -36,8 +36,8 @@ class _Environment:
 class PickPlaceVectorEnv(VectorEnv[_Observations, NDArray[np.float32], NDArray[Any]]):
     """Environments as `PickPlaceEnv`, stepped together: `gymnasium.make_vec("yamsim/PickPlace-v0", num_envs=64)`.
 
-    Observations, rewards, ends and infos equal those of gymnasium's `SyncVectorEnv` with the same environments, bit for
-    bit, with any number of threads. The same engine judges each environment's episode.
+    Observations, rewards, ends and infos are the same as in gymnasium's `SyncVectorEnv` with the same environments, bit
+    for bit, with any number of threads. The same engine judges each environment's episode.
 
     `reset(seed=S)` starts trial 0 of seed S + k in environment k; `seed` may be a sequence, with a seed or None for
     each environment. `options` has `trial`, the number of the trial in all environments, and `reset_mask`, an array

@@ -8,33 +8,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tests.cli.run_cli import yamsim
 from yamsim_cli.core.config.rig import RigConfig
-
-Array = NDArray[np.float64]
+from yamsim_cli.core.geometry.se3 import Array, pose
 
 RADTAN = (0.05, -0.02, 0.001, 0.002)
 RATIONAL = (*RADTAN, 0.01, 0.2, 0.03, 0.004)
 K = [[300.0, 0.0, 159.5], [0.0, 310.0, 119.5], [0.0, 0.0, 1.0]]
 
 
-def T_of(position: Any, rotation: Rotation) -> Array:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = rotation.as_matrix(), position
-    return T
-
-
 TOP_TURN, SIDE_TURN = Rotation.from_rotvec([2.9, 0.2, 0.1]), Rotation.from_rotvec([-1.4, 0.3, 0.2])
 WRIST_TURN, BASE_TURN = Rotation.from_rotvec([0.1, 0.4, -0.2]), Rotation.from_euler("ZYX", [0.05, 0.0, 0.01])
-T_TOP = T_of((0.4, 0.1, 1.2), TOP_TURN)
-T_SIDE = T_of((0.6, -0.5, 0.5), SIDE_TURN)
-T_WRIST = T_of((0.02, 0.07, 0.03), WRIST_TURN)
+T_TOP = pose((0.4, 0.1, 1.2), TOP_TURN.as_matrix())
+T_SIDE = pose((0.6, -0.5, 0.5), SIDE_TURN.as_matrix())
+T_WRIST = pose((0.02, 0.07, 0.03), WRIST_TURN.as_matrix())
 # `grasp_site` is 0.1347 m along the flange's z, as in the model of raiden's kinematics. Its y is the flange's x.
-T_FLANGE_IN_GRASP = T_of((0.0, 0.0, -0.1347), Rotation.from_euler("z", 90, degrees=True))
-T_RIGHT = T_of((0.01, -0.62, 0.002), BASE_TURN)
+T_FLANGE_IN_GRASP = pose((0.0, 0.0, -0.1347), Rotation.from_euler("z", 90, degrees=True).as_matrix())
+T_RIGHT = pose((0.01, -0.62, 0.002), BASE_TURN.as_matrix())
 
 
 def _pose_keys(T: Array) -> dict[str, Any]:
@@ -98,6 +90,17 @@ class Station:
             ],
         }
         (self.folder / "calibration.yaml").write_text(json.dumps(data | changed))
+
+    @property
+    def ros_transforms(self) -> dict[tuple[str, str], Array]:
+        """Parent and child frame -> the pose (4, 4) that the files of ROS have to publish."""
+        return {
+            (f"{self.left}_base", "top_optical_frame"): T_TOP,
+            (f"{self.left}_base", "side_optical_frame"): T_SIDE,
+            (f"{self.left}_flange", "left_eye_optical_frame"): T_WRIST,
+            (f"{self.right}_flange", "right_eye_optical_frame"): T_WRIST,
+            (f"{self.left}_base", f"{self.right}_base"): T_RIGHT,
+        }
 
     def export(self, *flags: str, out: str = "out") -> Any:
         return yamsim("export", "calibration", "calibration.yaml", out, "--json", *flags, cwd=self.folder)

@@ -26,7 +26,6 @@ from tests.calibration.handmade_station import (
     TOP_TURN,
     K,
     Station,
-    T_of,
     calibrated_arm,
     camera_on_body,
     fixed_camera,
@@ -34,6 +33,7 @@ from tests.calibration.handmade_station import (
 )
 from yamsim_cli.core.config.cameras.camera_files import read_camera
 from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.geometry.se3 import pose
 
 
 @pytest.fixture
@@ -73,15 +73,9 @@ def test_ros_files_are_read_back(filed: Station) -> None:
             words = shlex.split(line.removesuffix(" &"))[4:]
             value = dict(zip(words[::2], words[1::2], strict=True))
             turn = Rotation.from_quat([float(value[f"--q{axis}"]) for axis in "xyzw"])
-            T = T_of([float(value[f"--{axis}"]) for axis in "xyz"], turn)
+            T = pose([float(value[f"--{axis}"]) for axis in "xyz"], turn.as_matrix())
             frames[value["--frame-id"], value["--child-frame-id"]] = T
-    expected = {
-        (f"{filed.left}_base", "top_optical_frame"): T_TOP,
-        (f"{filed.left}_base", "side_optical_frame"): T_SIDE,
-        (f"{filed.left}_flange", "left_eye_optical_frame"): T_WRIST,
-        (f"{filed.right}_flange", "right_eye_optical_frame"): T_WRIST,
-        (f"{filed.left}_base", f"{filed.right}_base"): T_RIGHT,
-    }
+    expected = filed.ros_transforms
     assert frames.keys() == expected.keys()
     for key, T in expected.items():
         assert frames[key] == pytest.approx(T, abs=1e-9), key
@@ -133,7 +127,7 @@ def test_raidens_file_is_read_back(filed: Station) -> None:
         assert Rotation.from_rotvec(entry["rotation_vector"]).as_matrix() == pytest.approx(
             np.array(entry["rotation_matrix"])
         )
-        return T_of(entry["translation_vector"], Rotation.from_matrix(entry["rotation_matrix"]))
+        return pose(entry["translation_vector"], entry["rotation_matrix"])
 
     assert read(data["cameras"]["top"]["extrinsics"]) == pytest.approx(T_TOP)
     left = read(data["cameras"]["left_wrist_camera"]["hand_eye_calibration"])

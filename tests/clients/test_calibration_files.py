@@ -27,11 +27,11 @@ from tests.calibration.handmade_station import (
     T_TOP,
     T_WRIST,
     K,
-    T_of,
     handmade_station,
 )
 from tests.clients.environments import SCRIPTS, Interpreter, checkout
 from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.geometry.se3 import pose
 
 pytestmark = pytest.mark.client
 
@@ -134,16 +134,9 @@ def test_ros_publishes_the_poses(
     for line in done.stdout.splitlines():
         read = json.loads(line)
         turn = Rotation.from_quat([read[f"rotation.{axis}"] for axis in "xyzw"])
-        T = T_of([read[f"translation.{axis}"] for axis in "xyz"], turn)
+        T = pose([read[f"translation.{axis}"] for axis in "xyz"], turn.as_matrix())
         frames[read["frame_id"], read["child_frame_id"]] = T
-    left, right = (station.arms[k].name for k in station.recording_order)
-    expected = {
-        (f"{left}_base", "top_optical_frame"): T_TOP,
-        (f"{left}_base", "side_optical_frame"): T_SIDE,
-        (f"{left}_flange", "left_eye_optical_frame"): T_WRIST,
-        (f"{right}_flange", "right_eye_optical_frame"): T_WRIST,
-        (f"{left}_base", f"{right}_base"): T_RIGHT,
-    }
+    expected = handmade_station(tmp_path, station).ros_transforms
     assert frames.keys() == expected.keys()
     for key, T in expected.items():
         np.testing.assert_allclose(frames[key], T, rtol=0, atol=EXACT)

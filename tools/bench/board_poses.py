@@ -15,7 +15,7 @@ from tools.bench.calibration_stations import CAMERA, Planted, StationOptions, ru
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.se3 import Array, pose, pose_from_quat, rotation_z
+from yamsim_cli.core.geometry.se3 import Array, pose, pose_from_quat, quat_from_rotation, rotation_vector, rotation_z
 from yamsim_cli.core.statistics import Z95
 
 EVERY = 20  # of the pictures, one is used
@@ -42,12 +42,11 @@ def board_pose(folder: Path, options: StationOptions) -> dict[str, Any] | None:
     if not seen:
         return None
     T_cam = np.array([one["T_cam_in_base"] for one in seen])
-    w_last = Rotation.from_matrix(T_cam[:, :3, :3]).mean().as_quat()
     variances = np.mean([_variances(one, rig.arms[0].T_board_in_base) for one in seen], axis=0)
     widths = Z95 * np.sqrt(variances)
     return {
         "position": T_cam[:, :3, 3].mean(axis=0).tolist(),
-        "quat": np.roll(w_last, 1).tolist(),
+        "quat": quat_from_rotation(Rotation.from_matrix(T_cam[:, :3, :3]).mean().as_matrix()).tolist(),
         "position_95_mm": (1000 * widths[3:]).tolist(),
         "rotation_95_deg": np.degrees(widths[:3]).tolist(),
         "pictures": len(seen),
@@ -76,15 +75,14 @@ def in_measured_base(found: Mapping[str, Any], planted: Planted) -> dict[str, An
     for key in ("position_95_mm", "rotation_95_deg"):
         # Half widths along the turned axes, as if the errors along the two were independent.
         widths[key] = np.sqrt(turn**2 @ np.array(found[key]) ** 2).tolist()
-    quat = np.roll(Rotation.from_matrix(T[:3, :3]).as_quat(), 1)
-    return {**found, **widths, "position": T[:3, 3].tolist(), "quat": quat.tolist()}
+    return {**found, **widths, "position": T[:3, 3].tolist(), "quat": quat_from_rotation(T[:3, :3]).tolist()}
 
 
-def pose_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[Array, Array]:
-    """Return how far one pose is from another along and about the base's axes, mm and degrees."""
-    a, b = (pose_from_quat(found["position"], found["quat"]) for found in (one, other))
-    turn = Rotation.from_matrix(a[:3, :3] @ b[:3, :3].T).as_rotvec()
-    return 1000 * (a[:3, 3] - b[:3, 3]), np.degrees(turn)
+def pose_difference(found: Mapping[str, Any], T: Array) -> tuple[Array, Array]:
+    """Return how far a found pose is from a pose (4, 4) along and about the base's axes, mm and degrees."""
+    T_found = pose_from_quat(found["position"], found["quat"])
+    turn = rotation_vector(T_found[:3, :3] @ T[:3, :3].T)
+    return 1000 * (T_found[:3, 3] - T[:3, 3]), np.degrees(turn)
 
 
 def both_widths(one: Mapping[str, Any], other: Mapping[str, Any], key: str) -> list[float]:

@@ -43,7 +43,7 @@ from tools.bench.calibration_stations import (
     run_yamsim,
 )
 from yamsim_cli.core.files.writing import scratch_directory
-from yamsim_cli.core.geometry.se3 import Array, pose_from_quat, rotation_vector
+from yamsim_cli.core.geometry.se3 import Array, pose_from_quat
 
 WIDE = 200, 20  # mm and degrees, limits that refuse no pose for its interval
 
@@ -79,7 +79,7 @@ def board_errors(
     if found is None:
         return []
     board = in_measured_base(found, planted)
-    shift, turn = pose_difference(camera, board)
+    shift, turn = pose_difference(camera, pose_from_quat(board["position"], board["quat"]))
     return [
         *_pose_errors("board", board, planted.T_cam_in_base),
         _error("calibrate minus board, mm", shift, both_widths(camera, board, "position_95_mm")),
@@ -109,14 +109,10 @@ def calibration_errors(found: Mapping[str, Any], planted: Planted) -> list[dict[
 
 
 def _pose_errors(what: str, found: Mapping[str, Any], truth: Array) -> list[dict[str, Any]]:
-    T = pose_from_quat(found["position"], found["quat"])
+    shift, turn = pose_difference(found, truth)
     return [
-        _error(f"{what}, mm", 1000 * (T[:3, 3] - truth[:3, 3]), found["position_95_mm"]),
-        _error(
-            f"{what}, degrees",
-            np.degrees(rotation_vector(T[:3, :3] @ truth[:3, :3].T)),
-            found["rotation_95_deg"],
-        ),
+        _error(f"{what}, mm", shift, found["position_95_mm"]),
+        _error(f"{what}, degrees", turn, found["rotation_95_deg"]),
     ]
 
 

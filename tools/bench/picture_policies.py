@@ -15,14 +15,13 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import subprocess
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tools.bench.stages import run_stage
 from tools.bench.training_plot import plot_training
 
 _SEED = 2000  # of the trials
@@ -63,26 +62,28 @@ class Bench:
     special_trials: Mapping[str, int]
 
     def train(self, training: Training) -> list[float]:
-        """Train a policy unless its weights exist. Return the losses, one for each `_LOG_EVERY` steps."""
-        weights, log = self.out / f"{training.name}.pt", self.out / f"{training.name}.log"
-        if not weights.exists():
-            episodes = () if training.episodes is None else ("--episodes", str(training.episodes))
-            command = ("tools.picture_policy", *map(str, training.datasets), str(weights), *episodes)
-            _run([*command, "--steps", str(training.steps)], log)
-        return [float(loss) for loss in _PRINTED_LOSS.findall(log.read_text())]
+        """Train a policy. Return the losses, one for each `_LOG_EVERY` steps."""
+        episodes = () if training.episodes is None else ("--episodes", str(training.episodes))
+        weights = str(self.out / f"{training.name}.pt")
+        command = ("tools.picture_policy", *map(str, training.datasets), weights, *episodes)
+        self._stage(training.name, [*command, "--steps", str(training.steps)])
+        return [float(loss) for loss in _PRINTED_LOSS.findall((self.out / f"{training.name}.log").read_text())]
 
     def evaluate(self, name: str, look: str) -> dict[str, Any]:
-        """Evaluate a policy in a look unless its report exists, and return the statistics of the report."""
+        """Evaluate a policy in a look, and return the statistics of the report."""
         report = self.out / f"{name}.{look}.json"
-        if not report.exists():
-            command = (
-                "yamsim_cli", "eval", "--policy", "tools/picture_policy.py:PicturePolicy",
-                "--policy-arg", f"weights={self.out / name}.pt", "--trained-on", str(self.demos),
-                "--n", str(self.special_trials.get(look, self.trials)), "--seed", str(_SEED), *_RECIPE,
-            )  # fmt: skip
-            _run([*command, *self._flags(look), "--out", str(report)], report.with_suffix(".log"))
+        command = (
+            "yamsim_cli", "eval", "--policy", "tools/picture_policy.py:PicturePolicy",
+            "--policy-arg", f"weights={self.out / name}.pt", "--trained-on", str(self.demos),
+            "--n", str(self.special_trials.get(look, self.trials)), "--seed", str(_SEED), *_RECIPE,
+        )  # fmt: skip
+        self._stage(f"{name}.{look}", [*command, *self._flags(look), "--out", str(report)])
         stats: dict[str, Any] = json.loads(report.read_text())["stats"]
         return stats
+
+    def _stage(self, name: str, module_and_arguments: Sequence[str]) -> None:
+        seconds = run_stage(self.out, name, [sys.executable, "-m", *module_and_arguments])
+        print(f"{name}: {seconds['wall_s']:.0f} s, {seconds['cpu_s']:.0f} CPU s", flush=True)
 
     def _flags(self, look: str) -> tuple[str, ...]:
         given = LOOKS[look]
@@ -95,16 +96,6 @@ class Bench:
         # JSON is YAML.
         file.write_text(json.dumps(content))
         return (flag, str(file))
-
-
-def _run(module_and_arguments: Sequence[str], log: Path) -> None:
-    """Run a module of this environment, with its output in `log`; say how long it took."""
-    began = time.monotonic()
-    with log.open("w") as file:
-        code = subprocess.run([sys.executable, "-m", *module_and_arguments], stdout=file, stderr=file).returncode
-    if code:
-        raise SystemExit(f"{log}: exit code {code}: {log.read_text().strip()[-500:]}")
-    print(f"{log.stem}: {time.monotonic() - began:.0f} s", flush=True)
 
 
 def describe(stats: Mapping[str, Any]) -> str:

@@ -12,17 +12,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import re
-import resource
-import subprocess
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tests import training_recipe as recipe
+from tools.bench.stages import run_stage
 from tools.bench.training_plot import plot_training
 
 # `lerobot-train` logs `step:1K smpl:16K ... loss:0.123 ...`, which rounds the step.
@@ -56,17 +53,8 @@ class Bench:
 
     def stage(self, name: str, program: Sequence[str]) -> dict[str, float]:
         """Run a program unless its result exists, and return its seconds."""
-        told = self.out / f"{name}.seconds.json"
-        if not told.exists():
-            (self.out / f"{name}.log").parent.mkdir(parents=True, exist_ok=True)
-            before, began = _children(), time.monotonic()
-            with (self.out / f"{name}.log").open("w") as log:
-                threads = {"OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1", "HF_HOME": str(self.out / "hf")}
-                command = ["nice", "-n", str(self.nice), *map(str, program)]
-                subprocess.run(command, check=True, stdout=log, stderr=log, env={**os.environ, **threads})
-            told.write_text(json.dumps({"wall_s": time.monotonic() - began, "cpu_s": _children() - before}))
-        seconds: dict[str, float] = json.loads(told.read_text())
-        return seconds
+        environ = {"OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1", "HF_HOME": str(self.out / "hf")}
+        return run_stage(self.out, name, program, nice=self.nice, environ=environ)
 
     def yamsim(self, name: str, arguments: Sequence[str]) -> dict[str, float]:
         """Run a command of yamsim as a stage."""
@@ -92,12 +80,6 @@ class Bench:
         kept = {key: stats[key] for key in ("n", "n_success", "wilson95", "dxy_m", "causes")}
         loss = [float(value) for value in _LOGGED.findall((self.out / f"{name}.train.log").read_text())]
         return {"kind": kind.name, "episodes": episodes, "steps": steps, **kept, "seconds": seconds, "loss": loss}
-
-
-def _children() -> float:
-    """CPU seconds of all finished child processes."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
 
 
 def main() -> None:

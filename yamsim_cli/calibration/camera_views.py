@@ -144,7 +144,7 @@ class _BodyPlaces:
         to_reference = invert_pose(rig.T_base_in_world(rig.recording_order[0]))
         self._bases = {k: to_reference @ rig.T_base_in_world(k) for k in range(len(rig.arms))}
         self._points = renderer.surface_points(_POINT_SPACING)
-        # Four points of a body determine its place: their distances to those elsewhere are about those of its surface.
+        # Three points determine the pose of a body. Between two pictures, they move about as far as its surface.
         self._corners = [
             np.array([points.mean(axis=0) + 0.05 * axis for axis in np.eye(3)]) if len(points) else None
             for points in self._points

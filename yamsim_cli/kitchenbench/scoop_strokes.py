@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -196,25 +196,42 @@ def plan_release(
 
     A spoon tilts down by its tip, or to a side. A cup tilts further forward.
     """
-    for behind in (0.0,) if tool.is_spoon else _LIPS_BEHIND:
-        best: tuple[float, Tilt] | None = None
-        for turn, roll in itertools.product(_RELEASE_TURNS, _ROLLS if tool.is_spoon else (0,)):
-            if tool.is_spoon:
-                angles, poses = _SPOON_ANGLES, _spoon_release(context, tool, vessel, heading + turn, roll)
-            else:
-                angles, poses = _CUP_ANGLES, _cup_release(context, source, tool, vessel, heading + turn, behind)
-            rows = plan_knots(context, source.hand, source.opening, source.load, poses, source.joints)
-            largest = angles[len(rows) - 1] if len(rows) else 0.0
-            least, enough = (_SPOON_RELEASE, _SPOON_ENOUGH) if tool.is_spoon else (_CUP_RELEASE, _CUP_ENOUGH)
-            if largest < least:
-                continue
-            # A near start saves actions.
-            score = min(largest, enough) - _WAY_COST * float(np.abs(rows[0] - source.joints).max())
-            if best is None or score > best[0]:
-                best = score, Tilt(np.array(angles[: len(rows)]), rows)
-        if best is not None:
-            return best[1]
+    headings = [heading + turn for turn in _RELEASE_TURNS]
+    if tool.is_spoon:
+        ways = (_spoon_release(context, tool, vessel, at, roll) for at, roll in itertools.product(headings, _ROLLS))
+        return _best_tilt(context, source, ways, _SPOON_ANGLES, _SPOON_RELEASE, _SPOON_ENOUGH)
+    for behind in _LIPS_BEHIND:
+        ways = (_cup_release(context, source, tool, vessel, at, behind) for at in headings)
+        if tilt := _best_tilt(context, source, ways, _CUP_ANGLES, _CUP_RELEASE, _CUP_ENOUGH):
+            return tilt
     return None
+
+
+def _best_tilt(
+    context: PlanningContext,
+    source: HeldSource,
+    ways: Iterable[list[Array]],
+    angles: tuple[float, ...],
+    least: float,
+    enough: float,
+) -> Tilt | None:
+    """Return the best tilt of a held tool that reaches the angle `least`, rad; None if no way does.
+
+    Args:
+        ways: poses (4, 4) of the tool at `angles`, rad, one list for each way.
+        enough: angle, rad, beyond which more counts nothing.
+    """
+    best: tuple[float, Tilt] | None = None
+    for poses in ways:
+        rows = plan_knots(context, source.hand, source.opening, source.load, poses, source.joints)
+        largest = angles[len(rows) - 1] if len(rows) else 0.0
+        if largest < least:
+            continue
+        # A near start saves actions.
+        score = min(largest, enough) - _WAY_COST * float(np.abs(rows[0] - source.joints).max())
+        if best is None or score > best[0]:
+            best = score, Tilt(np.array(angles[: len(rows)]), rows)
+    return None if best is None else best[1]
 
 
 def _spoon_release(context: PlanningContext, tool: ScoopTool, vessel: str, heading: float, roll: int) -> list[Array]:
