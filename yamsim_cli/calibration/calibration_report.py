@@ -352,7 +352,8 @@ def _pose_cells(body: CalibratedCamera | CalibratedWristCamera | CalibratedArm) 
 
 
 def _with_interval(value: float, width: float, digits: int) -> str:
-    return f"{value:.{digits}f}\N{NO-BREAK SPACE}\N{PLUS-MINUS SIGN}\N{NO-BREAK SPACE}{width:.{digits}f}"
+    # A narrow column breaks before the sign, and not within a number.
+    return f"{value:.{digits}f} \N{PLUS-MINUS SIGN}\N{NO-BREAK SPACE}{width:.{digits}f}"
 
 
 def _picture_figures(outcome: StationOutcome, number: int) -> list[Markup]:
