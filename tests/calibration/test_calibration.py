@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.calibration.handmade_station import handmade_station
-from yamsim_cli.calibration.calibrate_run import CameraOutcome, StationOutcome
+from yamsim_cli.calibration.calibrate_run import CameraOutcome, CameraStart, StationOutcome
 from yamsim_cli.calibration.calibration_file import (
     CalibratedArm,
     CalibratedCamera,
@@ -30,14 +30,14 @@ from yamsim_cli.calibration.chosen_frames import (
 )
 from yamsim_cli.calibration.pose_search import MaskView, mask_overlap
 from yamsim_cli.calibration.station_fit import Layout, StationFit, start_state
-from yamsim_cli.calibration.uncertainty import PoseInterval, StationIntervals
+from yamsim_cli.calibration.uncertainty import PoseInterval, StationIntervals, is_base_measured
 from yamsim_cli.calibration.wrist_fit import WristFit, WristOutcome
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import ConfigError, SimulationError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.se3 import pose
+from yamsim_cli.core.geometry.se3 import Array, pose, rotation_vector, rotation_z
 
 
 def _calibration(x: float) -> Calibration:
@@ -160,8 +160,10 @@ def _outcome(rig: RigConfig, log_focal: float, is_focal_known: bool) -> StationO
     layout = Layout(1, 1, (rig.arms[0].robot.dof,), 0)
     equations: Any = SimpleNamespace(camera=0, median=0.2)
     fit = StationFit(layout, state, (equations,), np.eye(layout.size), (np.zeros(3),))
-    intervals = StationIntervals((EXACT,), (0.02,), (0.0,), (np.zeros(layout.dofs[0]),), (EXACT,), (0.0,), (0.0,))
-    camera = CameraOutcome("top", MODEL, is_focal_known, None, {"frames": 40})
+    intervals = StationIntervals(
+        (EXACT,), (0.02,), (0.0,), (0.0,), (np.zeros(layout.dofs[0]),), (EXACT,), (0.0,), (0.0,)
+    )
+    camera = CameraOutcome("top", CameraStart(MODEL, is_focal_known, True), None, {"frames": 40})
     return StationOutcome((camera,), ("top",), (), (), fit, intervals)
 
 
@@ -182,12 +184,44 @@ def test_the_pose_of_a_wrist_camera_and_its_focal_length_are_of_one_fit(single: 
     assert (K[0][0], K[1][1], K[0][2]) == pytest.approx((297.0, 297.0, MODEL.K[0][2]))
 
 
+def test_a_wrist_camera_is_written_if_all_fixed_cameras_are_refused(station: RigConfig, tmp_path: Path) -> None:
+    refused = CameraOutcome("top", CameraStart(MODEL, True, True), "it sees no arm")
+    outcome = StationOutcome((refused,), (), (), (), None, None)
+    fit = WristFit("wrist", 0, np.eye(4), 0.0, EXACT, 30, 1, 0.9, 0.2)
+    found = make_calibration(station, outcome, [WristOutcome("wrist", MODEL, fit, None)])
+    assert found is not None
+    assert (found.cameras, [one.name for one in found.wrist_cameras]) == ((), ["wrist"])
+    assert not any(estimated for arm in found.arms for estimated in arm.joint_offsets_estimated)
+    widths = {arm.name == found.reference: (arm.position_95_mm, arm.rotation_95_deg) for arm in found.arms}
+    assert widths[True] == ((0, 0, 0), (0, 0, 0))
+    assert not is_base_measured(*widths[False])
+    assert make_calibration(station, outcome, [WristOutcome("wrist", MODEL, fit, "uncertain")]) is None
+
+
+def test_the_turn_of_the_base_body_leaves_the_links_in_place(station: RigConfig, tmp_path: Path) -> None:
+    handmade_station(tmp_path, station).write()
+    calibration = load_calibration(tmp_path, Locations.from_environment({}))
+    old = calibration.arms[0]
+    assert old.base_body_turn_95_deg is None  # a file of an older version
+    arm = old.model_copy(update={"base_body_turn_deg": 1.2})
+    measured = 0.3
+
+    def link(T_base: Array, offsets: Array) -> Array:
+        return T_base @ pose(rotation=rotation_z(measured - float(offsets[0])))
+
+    turned = link(arm.T_base_body_in_reference, arm.base_body_offsets)
+    np.testing.assert_allclose(turned, link(arm.T_base_in_reference, arm.offsets), atol=1e-12)
+    turn = rotation_vector(arm.T_base_in_reference[:3, :3].T @ arm.T_base_body_in_reference[:3, :3])
+    np.testing.assert_allclose(np.degrees(turn), [0, 0, 1.2], atol=1e-9)
+    np.testing.assert_allclose(arm.base_body_offsets[1:], arm.offsets[1:])
+
+
 def test_the_page_has_wrist_cameras_offsets_by_joint_and_refusals(
     station: RigConfig, locations: Locations, tmp_path: Path
 ) -> None:
     handmade_station(tmp_path, station).write()
     calibration = load_calibration(tmp_path, locations)
-    refused = CameraOutcome("back", MODEL, True, "it sees no arm")
+    refused = CameraOutcome("back", CameraStart(MODEL, True, True), "it sees no arm")
     wrist = WristOutcome("left_wrist", MODEL, None, "too few pictures")
     page = write_page(station, StationOutcome((refused,), (), (), (), None, None), calibration, [wrist])
     (tmp_path / "page.html").write_text(page)

@@ -6,13 +6,26 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
+import cv2
 import numpy as np
 import pytest
 
 from yamsim_cli.calibration.calibrate_run import offset_refusal
+from yamsim_cli.calibration.chosen_frames import ChosenFrame
 from yamsim_cli.calibration.episode_pictures import EpisodePictures
-from yamsim_cli.calibration.station_fit import DELAY, FOCAL, FitPriors, Layout, StationProblem, start_state
+from yamsim_cli.calibration.station_fit import (
+    DELAY,
+    FOCAL,
+    MOVING,
+    FitPriors,
+    FittedCameraView,
+    Layout,
+    StationProblem,
+    start_state,
+)
 from yamsim_cli.calibration.uncertainty import _with_joint2_error, focal_contradiction
+from yamsim_cli.calibration.wrist_fit import _WristProblem
+from yamsim_cli.camera_effects.lens_distortion import viewing_ray_grid
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.rig import RigConfig
@@ -27,7 +40,7 @@ def test_the_priors_hold_the_rig_and_not_the_start_of_the_fit(station: RigConfig
     view = cast(
         Any, SimpleNamespace(renderer=SimpleNamespace(arm_of_body=np.zeros(3, np.int64)), kinds=np.zeros((2, 3)))
     )
-    problem = StationProblem(station, [view], [], FitPriors((0.01,)))
+    problem = StationProblem(station, [view], [], FitPriors((0.01,), (0.0,)))
     state = start_state(station, [pose((0.0, 0.0, 1.0))], [0.0], 3)
     assert not problem.prior_deviation(state).any()
     other = 1 - station.recording_order[0]
@@ -93,3 +106,50 @@ def test_a_focal_length_moved_beyond_its_interval_widens_all_intervals() -> None
         fit = cast(Any, SimpleNamespace(layout=layout, state=SimpleNamespace(log_focal=log_focal)))
         moved[name] = focal_contradiction(sigma, fit)
     assert moved == {"little": 1.0, "far": pytest.approx(2.0, rel=0.01)}
+
+
+def test_intervals_of_a_wrist_camera_grow_with_a_far_move_of_its_focal_length() -> None:
+    problem = cast(Any, SimpleNamespace(_focal_sigma=0.003))
+    T = pose((0.0, 0.1, 0.2))
+    widths = [
+        float(_WristProblem.interval(problem, T, move, np.eye(10)).position.max()) for move in (0.0, -0.005, 0.0118)
+    ]
+    assert widths[1] == widths[0]
+    assert widths[2] == pytest.approx(2.0 * widths[0], rel=0.01)
+
+
+def test_the_fit_finds_a_distortion_that_remains_in_the_pictures(locations: Locations) -> None:
+    rig = load_config(RigConfig, "rigs", "single", locations)
+    scene = load_config(SceneConfig, "scenes", "studio", locations)
+    quality = load_config(RenderConfig, "quality", "fast", locations)
+    camera = CameraModel.from_focal_length(320, 240, 200.0)
+    rng = np.random.default_rng(0)
+    joints = np.array([0.0, 1.0, 1.0, 0.0, 0.0, 0.0]) + rng.uniform(-0.7, 0.7, (8, 6))
+    times = np.arange(8.0)
+    episode = EpisodePictures("", times, (joints,), (np.zeros(8),), {})
+    T_base_in_cam = pose((-0.1, 0.15, 0.6), rotation_from_vector([1.9, 0.2, 0.3]))
+    lens = replace(camera, distortion=(0.08, 0.0, 0.0, 0.0))
+    rays = viewing_ray_grid(lens, np.arange(320), np.arange(240))
+    with BodyRenderer(rig, scene, quality, camera, locations) as renderer:
+        K = renderer.intrinsics.K
+        state = start_state(rig, [T_base_in_cam], [0.0], len(renderer.arm_of_body))
+        frames = []
+        for k in range(8):
+            renderer.set_poses(state.base_poses(0), state.postures(episode, times[k], 0))
+            picture = renderer.body_picture()
+            soft = cv2.GaussianBlur((picture.bodies > 0).astype(np.uint8) * 250, (0, 0), 0.8)
+            across, down = (rays @ K[:2, :2].T + K[:2, 2]).astype(np.float32).transpose(2, 0, 1)
+            photo = np.asarray(cv2.remap(soft, across, down, cv2.INTER_LINEAR), dtype=np.uint8)
+            seen = renderer.undistort_photo(photo)
+            mask = seen > 125
+            image = np.repeat(seen[..., None], 3, axis=2)
+            frames.append(ChosenFrame(0, k, float(times[k]), image, seen, 0, np.ones_like(mask), seen, mask))
+        kinds = np.where(renderer.arm_of_body >= 0, MOVING, 0).astype(np.uint8)
+        view = FittedCameraView("top", renderer, tuple(frames), np.tile(kinds, (8, 1)))
+        priors = FitPriors((0.003,), (0.05,), delay=0.0, offset=0.0)
+        found = StationProblem(rig, [view], [episode], priors).fit(state).state
+        held = StationProblem(rig, [view], [episode], replace(priors, lens=(0.0,))).fit(state).state
+    assert found.lenses[0] == pytest.approx(0.08, abs=0.015)
+    assert abs(held.lenses[0]) < 1e-6
+    errors = [np.linalg.norm(one.T_base_in_cam[0][:3, 3] - T_base_in_cam[:3, 3]) for one in (found, held)]
+    assert errors[0] < 0.5 * errors[1]

@@ -93,6 +93,8 @@ def calibration_errors(found: Mapping[str, Any], planted: Planted) -> list[dict[
     order = sorted(arms, key=lambda arm: arm["name"] != found["reference"])
     offsets = np.degrees(planted.offsets).reshape(len(arms), 6)
     rows = _pose_errors("camera", camera, planted.T_cam_in_base)
+    if camera["k1_95"] is not None:
+        rows.append(_error("distortion k1", camera["distortion"][0] - planted.k1, camera["k1_95"]))
     rows += [
         _error("focal length, %", 100 * (camera["K"][0][0] / planted.focal - 1), camera["focal_95_percent"]),
         _error("delay, ms", camera["delay_ms"] - 1000 * planted.delay, camera["delay_95_ms"]),
@@ -174,12 +176,16 @@ def main() -> None:
     parser.add_argument("--hand", action="store_true", help="a hand hides part of some pictures")
     parser.add_argument("--h264", action="store_true", help="a video instead of JPEG")
     parser.add_argument("--boards", action="store_true", help="a board beside the arm, and poses by it")
+    parser.add_argument("--hard", action="store_true", help="textures, and larger joint offsets and delays")
+    parser.add_argument("--mixed", action="store_true", help="hard stations; the seed chooses all options but --size")
+    parser.add_argument("--only-record", action="store_true", help="record stations into --keep, and end")
     parser.add_argument("--unknown-focal", action="store_true", help="do not give the camera's calibration")
     parser.add_argument("--max-shift", type=float, default=5.0, help="mm, of intervals that count as refused")
     parser.add_argument("--max-turn", type=float, default=0.5, help="degrees, likewise")
     parser.add_argument("--keep", type=Path, help="folder for episodes and results; recorded episodes are used again")
     given = parser.parse_args()
-    options = StationOptions(**{field.name: getattr(given, field.name) for field in fields(StationOptions)})
+    same = StationOptions(**{field.name: getattr(given, field.name) for field in fields(StationOptions)})
+    options = same
     if options.h264 and options.renderer == FILAMENT:
         parser.error("--h264 needs all pictures, and Filament renders those that the fit reads; leave one out")
     if options.boards and (options.arms == 2 or options.wrist):
@@ -187,6 +193,7 @@ def main() -> None:
     console, rows = Console(width=240), []
     with scratch_directory("yamsim-calibrate-") as scratch:
         for seed in range(given.first, given.first + given.stations):
+            options = StationOptions.mixed(seed, given.size, given.frames) if given.mixed else same
             folder = (given.keep or scratch) / options.folder(seed)
             truth = folder / "truth.json"
             if truth.is_file():
@@ -194,12 +201,16 @@ def main() -> None:
             else:
                 planted = record_station(seed, folder, options)
                 planted.save(truth)
+            if given.only_record:
+                console.print(f"{seed}: {folder}")
+                continue
             row = calibrate_station(folder, planted, options, not given.unknown_focal) | {"seed": seed}
             rows.append(row)
             suffix = "_unknown_focal" if given.unknown_focal else ""
             (folder / f"result_{options.frames}{suffix}.json").write_text(json.dumps(row, indent=1))
             console.print(station_line(row), highlight=False)
-    summarize(rows, (given.max_shift, given.max_turn), console)
+    if rows:
+        summarize(rows, (given.max_shift, given.max_turn), console)
 
 
 if __name__ == "__main__":

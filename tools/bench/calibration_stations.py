@@ -8,7 +8,7 @@ import math
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,9 +38,26 @@ LENSES = ("none", "given", "hidden")
 NOISE, BLUR, JPEG = 3.0, 0.5, 85  # grey levels, px, quality
 H264_CRF, H264_GOP = 23, 12  # x264's rate factor, and pictures from one whole picture to the next
 MAX_OFFSET, MAX_DELAY = math.radians(1.5), 0.08  # rad, s
+HARD_OFFSET, HARD_DELAY = math.radians(3.0), 0.12  # rad, s, the same for hard stations
+TEXTURES = {  # of the table and the floor of hard stations
+    "table": {
+        "saturation": [0.0, 0.6],
+        "value": [0.25, 0.9],
+        "contrast": [0.08, 0.35],
+        "textures": {"wood": 3, "marble": 1, "concrete": 1, "weave": 1, "stripes": 1, "noise": 1},
+    },
+    "floor": {
+        "saturation": [0.0, 0.5],
+        "value": [0.2, 0.75],
+        "contrast": [0.05, 0.25],
+        "textures": {"checker": 1, "wood": 1, "concrete": 1, "tiles": 1, "carpet": 1},
+    },
+}
+MIXED_STREAM = 37  # with a station's seed, seeds the choice of its options
+TWO_ARM_SHARE = 0.25  # of mixed stations
 FOCAL_ERROR = 0.003  # standard deviation, relative
 MAX_K1 = 0.08  # of a lens
-# Largest errors of the fit's rig: the second base along and about its axes, and wrist cameras likewise.
+# Largest errors of the fit's rig: the second base along its x and y axes and about z, and wrist cameras likewise.
 BASE_SHIFT, BASE_YAW = 0.02, 3.0  # m, degrees
 WRIST_SHIFT, WRIST_TURN = 0.004, math.radians(2.0)  # m, rad
 HAND_SHARE, HAND_SIZE = 0.3, 0.12  # share of pictures with a hand, and half its width over the picture's width
@@ -72,6 +89,7 @@ class StationOptions:
         hand: whether a hand hides part of some pictures.
         h264: whether pictures were a video, instead of JPEG.
         boards: whether a fiducial board lies beside the arm's base, in pictures and rig; only with one arm.
+        hard: whether table and floor have textures, and offsets and delays are up to `HARD_OFFSET` and `HARD_DELAY`.
     """
 
     size: str = "320x240"
@@ -85,6 +103,31 @@ class StationOptions:
     hand: bool = False
     h264: bool = False
     boards: bool = False
+    hard: bool = False
+
+    @classmethod
+    def mixed(cls, seed: int, size: str, frames: int) -> StationOptions:
+        """Return a hard station with randomly chosen renderer, lens, hand, compression and number of arms.
+
+        Half of these stations have pictures by Filament, and a third each no, a given and a hidden distortion. Stations
+        with two arms have wrist cameras.
+        """
+        rng = np.random.default_rng([seed, MIXED_STREAM])
+        renderer = str(rng.choice([CLASSIC, FILAMENT]))
+        lens, hand, h264 = str(rng.choice(LENSES)), bool(rng.random() < 0.5), bool(rng.random() < 0.5)
+        two = bool(rng.random() < TWO_ARM_SHARE)
+        return cls(
+            size=size,
+            task="handover" if two else "pickplace",
+            renderer=renderer,
+            frames=frames,
+            arms=2 if two else 1,
+            wrist=two,
+            lens=lens,
+            hand=hand,
+            h264=h264 and renderer == CLASSIC,
+            hard=True,
+        )
 
     @property
     def rig(self) -> str:
@@ -118,6 +161,7 @@ class Planted:
         delay: s.
         focal: px.
         T_arm_in_base: pose (4, 4) of the right arm's base in the left one's; None with one arm.
+        k1: of the distortion.
         T_wrist_in_flange: pose (4, 4) of each wrist camera on its flange.
     """
 
@@ -127,6 +171,7 @@ class Planted:
     focal: float
     T_arm_in_base: Array | None
     T_wrist_in_flange: Mapping[str, Array]
+    k1: float = 0.0
 
     def save(self, file: Path) -> None:
         """Write the truth as JSON."""
@@ -146,6 +191,7 @@ class Planted:
             values["focal"],
             None if second is None else np.array(second),
             {name: np.array(T) for name, T in values["T_wrist_in_flange"].items()},
+            values.get("k1", 0.0),
         )
 
 
@@ -214,6 +260,7 @@ def _write_rig(rng: np.random.Generator, file: Path, options: StationOptions, lo
             "fovy_deg": camera.fovy_deg,
         }
         shift, yaw = rng.uniform(-BASE_SHIFT, BASE_SHIFT, 3), rng.uniform(-BASE_YAW, BASE_YAW)
+        shift[2] = 0.0  # the expert of `handover` needs bases at the same height
         is_second = options.arms == 2 and number != rig.recording_order[0]
         base = {"position": shift.tolist(), "yaw_deg": float(yaw)} if is_second else {}
         named = {"name": arm.name, "side": arm.side, "prefix": arm.prefix}
@@ -239,6 +286,7 @@ def record_station(seed: int, folder: Path, options: StationOptions) -> Planted:
                 "y": [-0.3, 0.3],
                 "clearance": 0.03,
             },
+            **(TEXTURES if options.hard else {}),
         },
     }
     folder.mkdir(parents=True, exist_ok=True)
@@ -264,14 +312,16 @@ def record_station(seed: int, folder: Path, options: StationOptions) -> Planted:
         *("--n", options.episodes, "--seed", seed, "--workers", 1),
         *("--size", options.size, "--jpeg-quality", 98, "--out", folder / "clean", "--overwrite"),
     )
-    offsets = rng.uniform(-MAX_OFFSET, MAX_OFFSET, 6 * options.arms)
-    delay = float(rng.uniform(0, MAX_DELAY))
+    largest_offset, largest_delay = (HARD_OFFSET, HARD_DELAY) if options.hard else (MAX_OFFSET, MAX_DELAY)
+    offsets = rng.uniform(-largest_offset, largest_offset, 6 * options.arms)
+    delay = float(rng.uniform(0, largest_delay))
     first = load_frame(next((folder / "clean").glob("ep_*/lowdim/*.pkl")).read_bytes())
     matrices = {name: np.array(K, dtype=np.float64) for name, K in first["intrinsics"].items()}
     lens = _write_cameras(folder, matrices, options, rng)
     spoil = _Spoiling(options, offsets, delay, lens, rng)
     spoil.write_episodes(sorted((folder / "clean").glob("ep_*")), folder)
-    return _truth(rig, first, options, offsets, delay)
+    truth = _truth(rig, first, options, offsets, delay)
+    return replace(truth, k1=lens.distortion[0]) if lens else truth
 
 
 def _truth(rig: RigConfig, first: Mapping[str, Any], options: StationOptions, offsets: Array, delay: float) -> Planted:

@@ -41,6 +41,7 @@ _MAX_OFFSET = math.radians(3.5)  # rad of a joint, 3.5 standard deviations of th
 _FOCAL_GUESS = 0.9  # of the longer side: first guess of an unknown focal length
 _FOCAL_SCALES = (0.7, 0.9, 1.15, 1.5)  # tried factors of that guess
 _FOCAL_SIGMA = 0.4  # of the logarithm of an unknown focal length
+_LENS_SIGMA = 0.05  # of an unknown distortion's k1; lenses of 60 to 100 degrees have up to 0.1
 _SHARED_REACHES = (5.0, 3.5, 2.5, 2.5, 2.5, 2.5)  # grains, rounds of the fit of all cameras together
 
 
@@ -71,17 +72,50 @@ class CalibrationRequest:
 
 
 @dataclass(frozen=True)
+class CameraStart:
+    """The intrinsics of a camera with which a fit starts.
+
+    Attributes:
+        is_focal_known: whether `model` has the given or recorded focal length, not a guess.
+        is_lens_known: whether the distortion was given. If not, the fit estimates k1.
+    """
+
+    model: CameraModel
+    is_focal_known: bool
+    is_lens_known: bool
+
+    @property
+    def focal_sigma(self) -> float:
+        """Standard deviation of the logarithm of the focal length."""
+        return self.model.focal_sigma if self.is_focal_known else _FOCAL_SIGMA
+
+    @property
+    def lens_sigma(self) -> float:
+        """Standard deviation of k1."""
+        return 0.0 if self.is_lens_known else _LENS_SIGMA
+
+    @property
+    def k1(self) -> float:
+        """First coefficient of the distortion."""
+        return self.model.distortion[0] if self.model.distortion else 0.0
+
+    def with_k1(self, k1: float) -> CameraStart:
+        """Return the camera with an estimated distortion."""
+        return replace(self, model=replace(self.model, distortion=(k1, 0.0, 0.0, 0.0)))
+
+
+@dataclass(frozen=True)
 class CameraOutcome:
     """Result of the pictures of a camera.
 
     Attributes:
+        start: its intrinsics before the last fit.
         refusal: why its pose is not certain, with a remedy; None for a certain pose.
         figures: frames, overlap and so on, for the report.
     """
 
     name: str
-    model: CameraModel
-    is_focal_known: bool
+    start: CameraStart
     refusal: str | None
     figures: Mapping[str, float] = field(default_factory=dict)
 
@@ -150,8 +184,9 @@ class StationCalibrator:
         limits = self._request.max_shift, self._request.max_turn
         found = []
         for name in self._request.wrist_cameras:
-            model, known = self._model(name)
-            if not known:
+            start = self._camera_start(name)
+            model = start.model
+            if not start.is_focal_known:
                 raise UsageError(f"--camera {name}: a wrist camera needs its calibration; give --camera {name}=FILE")
             if fault := faults.get(name):
                 found.append(WristOutcome(name, model, None, fault.removeprefix(f"{name} ")))
@@ -165,10 +200,11 @@ class StationCalibrator:
         if outcome.refusal is None or overlap is None or not has_two_equal_arms(self._rig):
             return started
         scene, quality, locations = self._surroundings
-        with BodyRenderer(self._rig, scene, quality, outcome.model, locations) as renderer:
+        model = outcome.start.model
+        with BodyRenderer(self._rig, scene, quality, model, locations) as renderer:
             episodes = exchange_arms(self._episodes)
-            prepared = prepare_camera(outcome.name, episodes, self._rig, renderer, outcome.model, self._request.frames)
-            scales = (1.0,) if outcome.is_focal_known else _FOCAL_SCALES
+            prepared = prepare_camera(outcome.name, episodes, self._rig, renderer, model, self._request.frames)
+            scales = (1.0,) if outcome.start.is_focal_known else _FOCAL_SCALES
             known = self._known_poses(outcome.name)
             found = search_poses(prepared.masks, renderer.intrinsics.K, known, scales, 1)
         exchanged = found[0].overlap if found else 0.0
@@ -181,28 +217,34 @@ class StationCalibrator:
         figures = {**outcome.figures, EXCHANGED_OVERLAP: exchanged}
         return replace(started, outcome=replace(outcome, refusal=refusal, figures=figures))
 
-    def _model(self, name: str) -> tuple[CameraModel, bool]:
-        """Return a camera's given, recorded or guessed calibration, and whether its focal length is known."""
+    def _camera_start(self, name: str) -> CameraStart:
+        """Return a camera's given, recorded or guessed intrinsics."""
         if name in self._request.models:
-            return self._request.models[name], True
+            model = self._request.models[name]
+            return CameraStart(model, True, bool(model.distortion))
         pictures = next(one.cameras[name] for one in self._episodes if name in one.cameras)
         height, width = pictures.read([0])[0].shape[:2]
         if pictures.K is not None:
             (a, b, c), (d, e, f), _ = pictures.K.tolist()
-            return CameraModel(width, height, ((a, b, c), (d, e, f), (0.0, 0.0, 1.0))), True
-        return CameraModel.from_focal_length(width, height, _FOCAL_GUESS * max(width, height), _FOCAL_SIGMA), False
+            return CameraStart(CameraModel(width, height, ((a, b, c), (d, e, f), (0.0, 0.0, 1.0))), True, False)
+        guess = CameraModel.from_focal_length(width, height, _FOCAL_GUESS * max(width, height), _FOCAL_SIGMA)
+        return CameraStart(guess, False, False)
 
-    def _start(self, name: str) -> _Started:
-        model, known = self._model(name)
+    def _prepare(self, name: str, model: CameraModel) -> PreparedCamera:
+        """Return a camera's pictures without the distortion of `model`."""
         scene, quality, locations = self._surroundings
         renderer = self._stack.enter_context(BodyRenderer(self._rig, scene, quality, model, locations))
-        prepared = prepare_camera(name, self._episodes, self._rig, renderer, model, self._request.frames)
+        return prepare_camera(name, self._episodes, self._rig, renderer, model, self._request.frames)
+
+    def _start(self, name: str) -> _Started:
+        start = self._camera_start(name)
+        prepared = self._prepare(name, start.model)
         frames = prepared.view.frames
         changed = float(np.median([frame.changed.mean() for frame in frames]))
         figures = {"frames": len(frames), "changed_share": changed}
 
         def refused(why: str, **more: float) -> _Started:
-            return _Started(CameraOutcome(name, model, known, why, {**figures, **more}), prepared, None)
+            return _Started(CameraOutcome(name, start, why, {**figures, **more}), prepared, None)
 
         if len(frames) < _MIN_FRAMES:
             return refused(
@@ -221,8 +263,9 @@ class StationCalibrator:
                 f"{changed:.1%} of the picture changes when the arms move, at least {_MIN_CHANGED:.1%} are needed: "
                 "give episodes in which the camera sees the arms move"
             )
-        scales = (1.0,) if known else _FOCAL_SCALES
-        hypotheses = search_poses(prepared.masks, renderer.intrinsics.K, self._known_poses(name), scales, 3)
+        scales = (1.0,) if start.is_focal_known else _FOCAL_SCALES
+        K = prepared.view.renderer.intrinsics.K
+        hypotheses = search_poses(prepared.masks, K, self._known_poses(name), scales, 3)
         overlap = hypotheses[0].overlap if hypotheses else 0.0
         if overlap < _MIN_OVERLAP:
             return refused(
@@ -237,7 +280,7 @@ class StationCalibrator:
                 f"the arms of other pictures explain a picture as well as its own (overlap {chance:.2f} and "
                 f"{overlap:.2f}): are joints and pictures of the same episodes, and do the poses differ?"
             )
-        return self._first_fit(name, model, known, prepared, hypotheses, figures)
+        return self._first_fit(name, start, prepared, hypotheses, figures)
 
     def _is_left_arm_still(self, frames: Sequence[ChosenFrame]) -> bool:
         """Return whether the left of two arms stands still in the chosen pictures.
@@ -253,23 +296,27 @@ class StationCalibrator:
     def _first_fit(
         self,
         name: str,
-        model: CameraModel,
-        known: bool,
+        start: CameraStart,
         prepared: PreparedCamera,
         hypotheses: Sequence[Hypothesis],
         figures: Mapping[str, float],
     ) -> _Started:
         """Fit the best hypotheses to the outlines, and keep the best."""
-        problem = StationProblem(self._rig, [prepared.view], self._episodes, self._priors([(model, known)]))
+        problem = StationProblem(self._rig, [prepared.view], self._episodes, _priors([start]))
         fits = []
         for one in hypotheses[:2]:
-            start = start_state(self._rig, [one.T_base_in_cam], [math.log(one.focal_scale)], problem.layout.bodies)
-            fits.append(problem.fit(start))
+            focal = math.log(one.focal_scale)
+            fits.append(problem.fit(start_state(self._rig, [one.T_base_in_cam], [focal], problem.layout.bodies)))
             if found_share(fits[-1]) > _MIN_FOUND and one.overlap > 1.15 * hypotheses[-1].overlap:
                 break
         fits.sort(key=found_share, reverse=True)
-        prepared = with_clean_backgrounds(prepared, fits[0].state, 0, self._episodes)
-        best = problem.with_views([prepared.view]).fit(fits[0].state, _SHARED_REACHES)
+        state = fits[0].state
+        if not start.is_lens_known:
+            # The fit's distortion is only right near the pictures' distortion, so they are undistorted first.
+            start = start.with_k1(start.k1 + state.lenses[0])
+            prepared, state = self._prepare(name, start.model), replace(state, lenses=(0.0,))
+        prepared = with_clean_backgrounds(prepared, state, 0, self._episodes)
+        best = problem.with_views([prepared.view]).fit(state, _SHARED_REACHES)
         share = found_share(best)
         figures = {**figures, "found_share": share, "outline_px": outline_px(best, 0)}
         refusal = None
@@ -284,7 +331,7 @@ class StationCalibrator:
                 "two different poses explain the pictures about as well: give episodes in which the arm reaches "
                 "farther to the sides"
             )
-        return _Started(CameraOutcome(name, model, known, refusal, figures), prepared, best.state)
+        return _Started(CameraOutcome(name, start, refusal, figures), prepared, best.state)
 
     def _known_poses(self, name: str) -> list[Array]:
         """Return the poses of the reference base in the rig's cameras and in the earlier calibration's."""
@@ -306,16 +353,13 @@ class StationCalibrator:
         exchanged = [type(one)(one.changed, other.points) for one, other in zip(masks, others, strict=True)]
         return mask_overlap(exchanged, K, best.T_base_in_cam)
 
-    def _priors(self, models: Sequence[tuple[CameraModel, bool]]) -> FitPriors:
-        return FitPriors(tuple(model.focal_sigma if known else _FOCAL_SIGMA for model, known in models))
-
     def _fit_together(self, started: Sequence[_Started]) -> StationOutcome:
         usable = [one for one in started if one.state is not None and one.outcome.refusal is None]
         if not usable:
             return StationOutcome(tuple(one.outcome for one in started), (), (), (), None, None)
         views = tuple(one.prepared.view for one in usable)
-        models = [(one.outcome.model, one.outcome.is_focal_known) for one in usable]
-        problem = StationProblem(self._rig, views, self._episodes, self._priors(models))
+        priors = _priors([one.outcome.start for one in usable])
+        problem = StationProblem(self._rig, views, self._episodes, priors)
         fit = problem.fit(_joined_state([one.state for one in usable if one.state]), _SHARED_REACHES)
         intervals = estimate_intervals(problem, fit)
         fitted = tuple(one.outcome.name for one in usable)
@@ -347,7 +391,7 @@ class StationCalibrator:
                 f"its pose is uncertain by {1000 * shift:.1f} mm and {math.degrees(turn):.2f} degrees (95 %), more "
                 f"than {limits} (--max-shift, --max-turn): {self._remedy(outcome, number, intervals)}"
             )
-        return CameraOutcome(outcome.name, outcome.model, outcome.is_focal_known, refusal, figures)
+        return replace(outcome, refusal=refusal, figures=figures)
 
     def _remedy(self, outcome: CameraOutcome, number: int, intervals: StationIntervals) -> str:
         apart = intervals.halves_position[number]
@@ -355,9 +399,15 @@ class StationCalibrator:
             return f"two halves of the pictures differ by {1000 * apart:.1f} mm; was the camera moved between episodes?"
         if outcome.figures["changed_share"] < 0.03:
             return f"the moving arms fill {outcome.figures['changed_share']:.1%} of the picture; give larger pictures"
-        if not outcome.is_focal_known:
+        if not outcome.start.is_focal_known:
             return "its focal length is estimated too; give its calibration with --camera"
+        if not outcome.start.is_lens_known:
+            return "its distortion is estimated too; give a calibration with `distortion`, 0 0 0 0 for none"
         return "give more episodes with other poses"
+
+
+def _priors(starts: Sequence[CameraStart]) -> FitPriors:
+    return FitPriors(tuple(one.focal_sigma for one in starts), tuple(one.lens_sigma for one in starts))
 
 
 def found_share(fit: StationFit, camera: int | None = None) -> float:
@@ -398,6 +448,7 @@ def _joined_state(states: Sequence[StationState]) -> StationState:
         tuple(one.log_focal[0] for one in states),
         tuple(one.delays[0] for one in states),
         tuple(one.margins[0] for one in states),
+        tuple(one.lenses[0] for one in states),
         tuple(one.biases[0] for one in states),
         tuple(np.mean([one.offsets[arm] for one in states], axis=0) for arm in range(len(first.offsets))),
         first.T_arm_in_base,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from ..core.files.documents.config_base import Config, Quaternion
 from ..core.files.documents.yaml_document import dump_yaml
 from ..core.files.resources import Locations
 from ..core.geometry.camera import CameraModel
-from ..core.geometry.se3 import Array, invert_pose, pose_from_quat
+from ..core.geometry.se3 import Array, invert_pose, pose, pose_from_quat, rotation_z
 from ..photos.overlay.photos import PlacedCamera
 
 CALIBRATION_FILE = "calibration.yaml"  # in the directory of `yamsim calibrate`
@@ -53,12 +54,15 @@ class CalibratedCamera(_CameraOnBody):
         focal: `given`, and then moved by the fit within its error, or `estimated` without a prior value.
         focal_95_percent, delay_95_ms: half widths of 95 % intervals. The interval of a given focal length is from its
             file, or as wide as the fit moved the focal length, if that is more.
+        k1_95: half width of the 95 % interval of the first coefficient of `distortion`, if the fit estimated it; the
+            others are then 0.
         delay_ms: pictures show the arms as they were this much before their time stamps.
         frames: pictures that the fit used.
     """
 
     focal: str = Field(pattern="^(given|estimated)$")
     focal_95_percent: float = Field(ge=0)
+    k1_95: float | None = Field(default=None, ge=0)
     delay_ms: float
     delay_95_ms: float = Field(ge=0)
     frames: int = Field(ge=0)
@@ -93,6 +97,8 @@ class CalibratedArm(Config):
         position, quat: pose of its base in the base of `Calibration.reference`, m.
         joint_offsets_deg: measured minus true joints. That of the first joint is 0: an offset of it looks like a turn
             of the base.
+        base_body_turn_deg: turn about z of the base body from `quat`, which is the offset of the first joint.
+        base_body_turn_95_deg: half width of its 95 % interval; None in files of older versions, which lack the turn.
         joint_offsets_estimated: whether the pictures determine each offset; if not, its interval is mostly that of the
             assumption.
     """
@@ -105,6 +111,8 @@ class CalibratedArm(Config):
     joint_offsets_deg: tuple[float, ...]
     joint_offsets_95_deg: tuple[float, ...]
     joint_offsets_estimated: tuple[bool, ...]
+    base_body_turn_deg: float = 0.0
+    base_body_turn_95_deg: float | None = Field(default=None, ge=0)
 
     @property
     def T_base_in_reference(self) -> Array:
@@ -113,8 +121,18 @@ class CalibratedArm(Config):
 
     @property
     def offsets(self) -> Array:
-        """Joint offsets (dof,), rad."""
+        """Joint offsets (dof,), rad, with the base as in `T_base_in_reference`."""
         return np.radians(self.joint_offsets_deg)
+
+    @property
+    def T_base_body_in_reference(self) -> Array:
+        """Pose (4, 4) of the base body in the reference base."""
+        return self.T_base_in_reference @ pose(rotation=rotation_z(math.radians(self.base_body_turn_deg)))
+
+    @property
+    def base_body_offsets(self) -> Array:
+        """Joint offsets (dof,), rad, with the base as in `T_base_body_in_reference`. The links stay in their places."""
+        return np.radians([self.base_body_turn_deg, *self.joint_offsets_deg[1:]])
 
 
 class Calibration(Config):
@@ -144,8 +162,9 @@ class Calibration(Config):
     def placed_camera(self, camera: CalibratedCamera) -> PlacedCamera:
         """Return the model of a camera with its delay, and the arms' base poses in it with their joint offsets."""
         T_reference_in_cam = invert_pose(camera.T_cam_in_base)
-        bases = tuple(T_reference_in_cam @ arm.T_base_in_reference for arm in self.arms)
-        return PlacedCamera(camera.camera_model, bases, tuple(arm.offsets for arm in self.arms), camera.delay_ms / 1000)
+        bases = tuple(T_reference_in_cam @ arm.T_base_body_in_reference for arm in self.arms)
+        offsets = tuple(arm.base_body_offsets for arm in self.arms)
+        return PlacedCamera(camera.camera_model, bases, offsets, camera.delay_ms / 1000)
 
     def for_rig(self, rig: RigConfig, option: str) -> Calibration:
         """Return the calibration itself. Raise UsageError if it is of another rig, or of other arms."""

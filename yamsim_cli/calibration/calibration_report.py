@@ -40,7 +40,7 @@ from .calibration_file import (
     calibration_text,
 )
 from .exchanges import WristCameraMoves, wrist_camera_fault
-from .station_fit import FitPriors, StationFit
+from .station_fit import FitPriors, StationFit, rig_bases
 from .uncertainty import PoseInterval, StationIntervals, is_measured
 from .wrist_fit import WristFit, WristOutcome
 
@@ -76,13 +76,20 @@ def _widths(interval: PoseInterval) -> dict[str, Numbers3]:
 def make_calibration(
     rig: RigConfig, outcome: StationOutcome, wrists: Sequence[WristOutcome] = ()
 ) -> Calibration | None:
-    """Return the calibration of the cameras with a certain pose; None without any fixed one."""
+    """Return the calibration of the cameras with a certain pose; None without any.
+
+    If all fixed cameras are refused, bases and joint offsets are those assumed before the fit.
+    """
     fit, intervals = outcome.fit, outcome.intervals
     certain = [one for one in outcome.cameras if one.refusal is None]
-    if fit is None or intervals is None or not certain:
+    cameras: tuple[CalibratedCamera, ...] = ()
+    if fit is not None and intervals is not None and certain:
+        cameras = tuple(_calibrated_camera(one, outcome.fitted.index(one.name), fit, intervals) for one in certain)
+        arms = tuple(_calibrated_arm(arm.name, number, fit, intervals) for number, arm in enumerate(rig.arms))
+    elif any(one.fit and one.refusal is None for one in wrists):
+        arms = tuple(_assumed_arm(rig, number) for number in range(len(rig.arms)))
+    else:
         return None
-    cameras = tuple(_calibrated_camera(one, outcome.fitted.index(one.name), fit, intervals) for one in certain)
-    arms = tuple(_calibrated_arm(arm.name, number, fit, intervals) for number, arm in enumerate(rig.arms))
     return Calibration(
         rig=rig.name,
         reference=rig.arms[rig.recording_order[0]].name,
@@ -114,16 +121,19 @@ def _calibrated_wrist_camera(rig: RigConfig, model: CameraModel, fit: WristFit) 
 def _calibrated_camera(
     outcome: CameraOutcome, number: int, fit: StationFit, intervals: StationIntervals
 ) -> CalibratedCamera:
-    T, model = invert_pose(fit.state.T_base_in_cam[number]), outcome.model
+    T, start = invert_pose(fit.state.T_base_in_cam[number]), outcome.start
+    if not start.is_lens_known:
+        start = start.with_k1(start.k1 + fit.state.lenses[number])
     # The pose belongs to the fitted focal length, also where the fit moved a given one within its error.
-    model = replace(model, K=_with_focal_scale(model, math.exp(fit.state.log_focal[number])))
+    model = replace(start.model, K=_with_focal_scale(start.model, math.exp(fit.state.log_focal[number])))
     moved = abs(fit.state.log_focal[number])
-    focal_95 = max(Z95 * model.focal_sigma, moved) if outcome.is_focal_known else intervals.log_focal[number]
+    focal_95 = max(Z95 * model.focal_sigma, moved) if start.is_focal_known else intervals.log_focal[number]
     return CalibratedCamera(
         name=outcome.name,
         **_model_and_pose(model, T, intervals.cameras[number]),
-        focal="given" if outcome.is_focal_known else "estimated",
+        focal="given" if start.is_focal_known else "estimated",
         focal_95_percent=100 * focal_95,
+        k1_95=None if start.is_lens_known else float(round(intervals.lenses[number], 6)),
         delay_ms=1000 * fit.state.delays[number],
         delay_95_ms=1000 * intervals.delays[number],
         frames=int(outcome.figures["frames"]),
@@ -137,10 +147,10 @@ def _with_focal_scale(model: CameraModel, scale: float) -> tuple[Numbers3, Numbe
 
 
 def _calibrated_arm(name: str, number: int, fit: StationFit, intervals: StationIntervals) -> CalibratedArm:
-    T, offsets, widths = fit.state.T_arm_in_base[number], fit.state.offsets[number], intervals.offsets[number]
-    prior = FitPriors(()).offset
+    T, found, found_widths = fit.state.T_arm_in_base[number], fit.state.offsets[number], intervals.offsets[number]
+    prior = FitPriors((), ()).offset
     # In the base that is written, the measured first joint is true.
-    offsets, widths = (np.concatenate([[0.0], values[1:]]) for values in (offsets, widths))
+    offsets, widths = (np.concatenate([[0.0], values[1:]]) for values in (found, found_widths))
     return CalibratedArm(
         name=name,
         position=_numbers(T[:3, 3]),
@@ -149,6 +159,29 @@ def _calibrated_arm(name: str, number: int, fit: StationFit, intervals: StationI
         joint_offsets_deg=tuple(float(value) for value in np.degrees(offsets).round(4)),
         joint_offsets_95_deg=tuple(float(value) for value in np.degrees(widths).round(4)),
         joint_offsets_estimated=(False, *(is_measured(float(width), prior) for width in widths[1:])),
+        base_body_turn_deg=float(np.degrees(found[0]).round(4)),
+        base_body_turn_95_deg=float(np.degrees(found_widths[0]).round(4)),
+    )
+
+
+def _assumed_arm(rig: RigConfig, number: int) -> CalibratedArm:
+    """Return an arm as the rig has it, with the intervals before the fit."""
+    priors, dof = FitPriors((), ()), rig.arms[number].robot.dof
+    T = rig_bases(rig)[number]
+    is_reference = number == rig.recording_order[0]
+    shift, turn = (0.0, 0.0) if is_reference else (priors.base_shift, priors.base_turn)
+    interval = PoseInterval(np.full(3, Z95 * shift), np.full(3, Z95 * turn))
+    width = Z95 * math.degrees(priors.offset)
+    return CalibratedArm(
+        name=rig.arms[number].name,
+        position=_numbers(T[:3, 3]),
+        quat=_quat(T),
+        position_95_mm=_numbers(1000 * interval.position),
+        rotation_95_deg=_numbers(np.degrees(interval.turn)),
+        joint_offsets_deg=(0.0,) * dof,
+        joint_offsets_95_deg=(0.0, *(width,) * (dof - 1)),
+        joint_offsets_estimated=(False,) * dof,
+        base_body_turn_95_deg=width,
     )
 
 
@@ -293,7 +326,7 @@ def _refusals_section(cameras: Sequence[CameraOutcome | WristOutcome]) -> Markup
     return html_section("Refused cameras", html_tag("ul", items)) if items else None
 
 
-def _cameras_section(calibration: Calibration) -> Markup:
+def _cameras_section(calibration: Calibration) -> Markup | None:
     cells = [
         [
             one.name,
@@ -301,13 +334,15 @@ def _cameras_section(calibration: Calibration) -> Markup:
             _with_interval(one.K[0][0], one.K[0][0] * one.focal_95_percent / 100, 1),
             _with_interval(one.delay_ms, one.delay_95_ms, 0),
             f"{one.outline_px:.2f}",
+            _UNKNOWN if one.k1_95 is None else _with_interval(one.distortion[0], one.k1_95, 3),
             str(one.frames),
         ]
         for one in calibration.cameras
     ]
     place = f"position in the base of {calibration.reference}, mm"
-    heads = ("camera", place, "turn, degrees", "focal length, px", "delay, ms", "outline, px", "pictures")
-    return html_section("Fixed cameras", html_tag("p", _FIGURES_TEXT), html_table(heads, cells))
+    lens = "k1, if estimated"
+    heads = ("camera", place, "turn, degrees", "focal length, px", "delay, ms", "outline, px", lens, "pictures")
+    return html_section("Fixed cameras", html_tag("p", _FIGURES_TEXT), html_table(heads, cells)) if cells else None
 
 
 def _wrist_cameras_section(calibration: Calibration) -> Markup | None:

@@ -41,11 +41,11 @@ _RENDERED_REACH = 2.5  # grains, within which the edge of a rendered body is sea
 _MOSTLY = 0.5  # share of pictures in which a body is still, for the biases of still bodies
 _MIN_LINE = 10  # outline points; a shorter outline is not used
 
-# Parameters of a camera, in order: the turn and shift of its pose, the logarithm of its focal length, its delay (s), a
-# margin (px), and biases (px). The margin is the distance of edges from outlines, and is the same for all bodies. Each
-# body has three biases of its edges: outwards, to the right and down. They are the same in all pictures. Light, shadows
-# and simplified meshes cause them.
-FOCAL, DELAY, MARGIN, BIASES = 6, 7, 8, 9
+# Parameters of a camera, in order: the turn and shift of its pose, the logarithm of its focal length, its delay (s),
+# a margin (px), the distortion k1 that remains in the undistorted pictures, and biases (px). The margin is the
+# distance of edges from outlines, and is the same for all bodies. Each body has three biases of its edges: outwards,
+# to the right and down. They are the same in all pictures. Light, shadows and simplified meshes cause them.
+FOCAL, DELAY, MARGIN, LENS, BIASES = 6, 7, 8, 9, 10
 _BIASES = 3  # of each body
 
 
@@ -55,6 +55,7 @@ class FitPriors:
 
     Attributes:
         focal: of the logarithm of each camera's focal length.
+        lens: of each camera's remaining k1.
         delay: s.
         offset: of a joint, rad.
         base_shift, base_turn: of the second base in the first one, m and rad.
@@ -64,6 +65,7 @@ class FitPriors:
     """
 
     focal: tuple[float, ...]
+    lens: tuple[float, ...]
     delay: float = 0.06
     offset: float = math.radians(1.0)
     base_shift: float = 0.03
@@ -86,6 +88,7 @@ class StationState:
         log_focal: logarithm of each camera's focal length over the given one.
         delays: of each camera, s: its pictures show the arms as they were this much earlier than stamped.
         margins: of each camera, px.
+        lenses: of each camera: OpenCV's distortion k1 that remains after its pictures were undistorted.
         biases: of each camera's bodies (3 x nbody,), px.
         offsets: of each arm's joints (dof,), rad: measured minus true. That of the first joint is how far the base
             body is turned from the base in which the measured joint is true.
@@ -96,6 +99,7 @@ class StationState:
     log_focal: tuple[float, ...]
     delays: tuple[float, ...]
     margins: tuple[float, ...]
+    lenses: tuple[float, ...]
     biases: tuple[Array, ...]
     offsets: tuple[Array, ...]
     T_arm_in_base: tuple[Array, ...]
@@ -230,6 +234,7 @@ class StationProblem:
             sigma[start + FOCAL] = max(priors.focal[number], _HELD)
             sigma[start + DELAY] = max(priors.delay, _HELD)
             sigma[start + MARGIN] = priors.margin
+            sigma[start + LENS] = max(priors.lens[number], _HELD)
             still = (view.kinds == STILL).mean(axis=0) > _MOSTLY
             biases = np.where(still[:, None], priors.still_biases, priors.biases)
             sigma[start + BIASES : self.layout.camera(number).stop] = biases.ravel()
@@ -266,6 +271,7 @@ class StationProblem:
             deviation[start + FOCAL] = state.log_focal[number]
             deviation[start + DELAY] = state.delays[number]
             deviation[start + MARGIN] = state.margins[number]
+            deviation[start + LENS] = state.lenses[number]
             deviation[start + BIASES : self.layout.camera(number).stop] = state.biases[number]
         for arm, (offsets, T, T_prior) in enumerate(
             zip(state.offsets, state.T_arm_in_base, rig_bases(self._rig), strict=True)
@@ -282,13 +288,14 @@ class StationProblem:
 
     def apply(self, state: StationState, step: Array, centres: Sequence[Array]) -> StationState:
         """Return the state after a step (k,)."""
-        poses, focal, delays, margins, biases = [], [], [], [], []
+        poses, focal, delays, margins, lenses, biases = [], [], [], [], [], []
         for number, centre in enumerate(centres):
             own = step[self.layout.camera(number)]
             poses.append(PoseCorrection(own[:6], centre).apply_to_pose(state.T_base_in_cam[number]))
             focal.append(state.log_focal[number] + float(np.clip(own[FOCAL], -0.1, 0.1)))
             delays.append(state.delays[number] + float(own[DELAY]))
             margins.append(state.margins[number] + float(own[MARGIN]))
+            lenses.append(state.lenses[number] + float(own[LENS]))
             biases.append(state.biases[number] + own[BIASES:])
         bases = list(state.T_arm_in_base)
         for arm in range(len(bases)):
@@ -296,7 +303,14 @@ class StationProblem:
                 bases[arm] = PoseCorrection(step[place], bases[arm][:3, 3]).apply_to_pose(bases[arm])
         offsets = tuple(rows + step[self.layout.offsets(arm)] for arm, rows in enumerate(state.offsets))
         return StationState(
-            tuple(poses), tuple(focal), tuple(delays), tuple(margins), tuple(biases), offsets, tuple(bases)
+            tuple(poses),
+            tuple(focal),
+            tuple(delays),
+            tuple(margins),
+            tuple(lenses),
+            tuple(biases),
+            offsets,
+            tuple(bases),
         )
 
     def linearize(self, state: StationState, reach: float) -> tuple[list[FrameEquations], list[Array]]:
@@ -332,9 +346,11 @@ class StationProblem:
             use = np.isfinite(offsets.offsets) & (bodies > 0) & (depth > 0)
             outline = _OutlinePoints(line.points[use], line.normals[use], bodies[use], depth[use])
             jacobians.append(self._jacobian(outline, K, centre, state, camera, view.renderer, axes, velocities))
+            # The arms are rendered without margin, distortion and biases.
+            lens = state.lenses[camera] * jacobians[-1][:, self.layout.camera(camera).start + LENS]
             by_body = state.biases[camera].reshape(-1, _BIASES)[outline.bodies]
             biases = (outline.bias_jacobian() * by_body).sum(axis=1)
-            residuals.append(offsets.offsets[use] - state.margins[camera] - biases)
+            residuals.append(offsets.offsets[use] - state.margins[camera] - lens - biases)
             still.append(np.full(int(use.sum()), kind == STILL))
             labels.append(outline.bodies)
         grain = grain_px(shown.grey.shape)
@@ -370,7 +386,9 @@ class StationProblem:
         place = self.layout.camera(camera)
         own = J[:, place]
         own[:, :3], own[:, 3:6] = np.cross(points - centre, across), across
-        own[:, FOCAL] = ((outline.pixels - K[:2, 2]) * outline.normals).sum(axis=1)
+        from_middle = outline.pixels - K[:2, 2]
+        own[:, FOCAL] = (from_middle * outline.normals).sum(axis=1)
+        own[:, LENS] = own[:, FOCAL] * ((from_middle / K[[0, 1], [0, 1]]) ** 2).sum(axis=1)
         own[:, MARGIN] = 1.0
         at = BIASES + _BIASES * outline.bodies[:, None] + np.arange(_BIASES)
         np.put_along_axis(own, at, outline.bias_jacobian(), axis=1)
@@ -499,6 +517,7 @@ def start_state(
     return StationState(
         tuple(T_base_in_cam),
         tuple(log_focal),
+        (0.0,) * cameras,
         (0.0,) * cameras,
         (0.0,) * cameras,
         (np.zeros(_BIASES * bodies),) * cameras,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..core.geometry.se3 import Array, invert_pose, rotation_vector
 from ..core.statistics import Z95, student_t_quantile_95
-from .station_fit import DELAY, FOCAL, FitPriors, FittedCameraView, StationFit, StationProblem, StationState
+from .station_fit import DELAY, FOCAL, LENS, FitPriors, FittedCameraView, StationFit, StationProblem, StationState
 
 _MIN_GROUPS = 8  # groups of pictures; with fewer episodes, each is divided
 _INFLATION = 1.8  # of all intervals; without it, errors of planted stations exceeded them by up to 1.6 times
@@ -33,7 +33,7 @@ def is_measured(half_width: float, prior: float) -> bool:
 
 def is_base_measured(position_95_mm: Sequence[float], rotation_95_deg: Sequence[float]) -> bool:
     """Return whether all half widths (3,) of the second base's 95 % intervals, mm and degrees, are measured."""
-    priors = FitPriors(())
+    priors = FitPriors((), ())
     return is_pose_measured(position_95_mm, rotation_95_deg, priors.base_shift, priors.base_turn)
 
 
@@ -58,7 +58,7 @@ class StationIntervals:
 
     Attributes:
         cameras: of each camera's pose in the reference base.
-        log_focal, delays: of each camera; s for the delays.
+        log_focal, lenses, delays: of each camera; s for the delays.
         offsets: of each arm's joint offsets (dof,), rad.
         bases: of each arm's base in the reference base; zero for the reference.
         halves_position, halves_turn: differences (m, rad) between each camera's poses from either half; no intervals.
@@ -66,6 +66,7 @@ class StationIntervals:
 
     cameras: tuple[PoseInterval, ...]
     log_focal: tuple[float, ...]
+    lenses: tuple[float, ...]
     delays: tuple[float, ...]
     offsets: tuple[Array, ...]
     bases: tuple[PoseInterval, ...]
@@ -122,6 +123,10 @@ def estimate_intervals(problem: StationProblem, fit: StationFit) -> StationInter
             for s, a, b in zip(starts, one.log_focal, other.log_focal, strict=True)
         ),
         tuple(
+            max(float(widths[s + LENS]), abs(a - b) / 2)
+            for s, a, b in zip(starts, one.lenses, other.lenses, strict=True)
+        ),
+        tuple(
             max(float(widths[s + DELAY]), abs(a - b) / 2, _EXPOSURE)
             for s, a, b in zip(starts, one.delays, other.delays, strict=True)
         ),
@@ -171,10 +176,15 @@ def focal_contradiction(sigma: Array, fit: StationFit) -> float:
     standard deviations.
     """
     moves = [
-        abs(log_focal) / (Z95 * float(sigma[fit.layout.camera(number).start + FOCAL]))
+        focal_move(log_focal, float(sigma[fit.layout.camera(number).start + FOCAL]))
         for number, log_focal in enumerate(fit.state.log_focal)
     ]
     return max(1.0, *moves)
+
+
+def focal_move(log_focal: float, sigma: float) -> float:
+    """Return how far a focal length moved, in half widths of its 95 % interval; `sigma` is that of its logarithm."""
+    return abs(log_focal) / (Z95 * sigma)
 
 
 def _camera_interval(fit: StationFit, covariance: Array, number: int) -> PoseInterval:

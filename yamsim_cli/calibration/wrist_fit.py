@@ -37,7 +37,7 @@ from ..photos.overlay.body_views import BodyRenderer
 from .chosen_frames import spread_choice, weighted_poses
 from .episode_pictures import EpisodePictures
 from .station_fit import EDGE_SIGMA, rendered_edges
-from .uncertainty import PoseInterval, is_pose_measured
+from .uncertainty import PoseInterval, focal_move, is_pose_measured
 
 _BIN = 0.002  # m of one finger's opening; pictures within count as of the same opening
 _BINS = 5  # openings, at most
@@ -53,6 +53,7 @@ _PRIOR_TURN, _PRIOR_SHIFT = math.radians(5.0), 0.02  # rad and m, standard devia
 _BIASES = (0.5, 0.3, 0.3)  # px, standard deviations of shifts that all edges share: outwards, to the right and down
 _INFLATION = 3.5  # of intervals; without it, the errors of a planted camera exceeded them by up to 3.4 times
 _MIN_FOUND = 0.6  # share of outline points with an edge within the last reach
+_MIN_FOCAL_SIGMA = 1e-6  # of the logarithm of an exactly known focal length
 _FOCAL = 6  # place of the focal length among the parameters, after turn and shift
 
 
@@ -161,7 +162,7 @@ def fit_wrist_camera(
         arm,
         invert_pose(T_flange_in_cam),
         log_focal,
-        problem.interval(T_flange_in_cam, rows.normal),
+        problem.interval(T_flange_in_cam, log_focal, rows.normal),
         sum(one.count for one in means),
         len(means),
         rows.found_share,
@@ -219,7 +220,8 @@ class _WristProblem:
         self._arm, self._rig, self._renderer, self._means = arm, rig, renderer, means
         gripper = renderer.moved_by[arm][-1]
         self._gripper = gripper & (renderer.arm_of_body == arm)
-        sigma = np.array([_PRIOR_TURN] * 3 + [_PRIOR_SHIFT] * 3 + [max(focal_sigma, 1e-6), *_BIASES])
+        sigma = np.array([_PRIOR_TURN] * 3 + [_PRIOR_SHIFT] * 3 + [max(focal_sigma, _MIN_FOCAL_SIGMA), *_BIASES])
+        self._focal_sigma = float(sigma[_FOCAL])
         self._prior = np.diag(sigma**-2.0)
         self._T_prior = invert_pose(wrist_camera_pose(rig.arms[arm]))
 
@@ -292,9 +294,14 @@ class _WristProblem:
         J = np.column_stack([np.cross(points - T[:3, 3], across), across, focal, np.ones(len(points)), normals])
         return J, seen[use] - J[:, _FOCAL + 1 :] @ state[_FOCAL + 1 :], len(line.points)
 
-    def interval(self, T_flange_in_cam: Array, normal: Array) -> PoseInterval:
-        """Return the intervals of the camera's pose on the flange."""
-        covariance = _INFLATION**2 * np.linalg.inv(normal)[:6, :6]
+    def interval(self, T_flange_in_cam: Array, log_focal: float, normal: Array) -> PoseInterval:
+        """Return the intervals of the camera's pose on the flange.
+
+        They are wider if the fit moved the focal length beyond its interval, which shows that outlines are wrong by
+        more than the equations say.
+        """
+        inflation = _INFLATION * max(1.0, focal_move(log_focal, self._focal_sigma))
+        covariance = inflation**2 * np.linalg.inv(normal)[:6, :6]
         R, shift = T_flange_in_cam[:3, :3].T, T_flange_in_cam[:3, 3]
         # Seen from the flange, a turn of the flange by w moves the camera by -R w x (camera from flange).
         x, y, z = -R @ shift
