@@ -57,7 +57,7 @@ MIXED_STREAM = 37  # with a station's seed, seeds the choice of its options
 TWO_ARM_SHARE = 0.25  # of mixed stations
 FOCAL_ERROR = 0.003  # standard deviation, relative
 MAX_K1 = 0.08  # of a lens
-# Largest errors of the fit's rig: the second base along its x and y axes and about z, and wrist cameras likewise.
+# Largest errors of the fit's rig: the second base along its axes and about z, and wrist cameras likewise.
 BASE_SHIFT, BASE_YAW = 0.02, 3.0  # m, degrees
 WRIST_SHIFT, WRIST_TURN = 0.004, math.radians(2.0)  # m, rad
 HAND_SHARE, HAND_SIZE = 0.3, 0.12  # share of pictures with a hand, and half its width over the picture's width
@@ -260,7 +260,6 @@ def _write_rig(rng: np.random.Generator, file: Path, options: StationOptions, lo
             "fovy_deg": camera.fovy_deg,
         }
         shift, yaw = rng.uniform(-BASE_SHIFT, BASE_SHIFT, 3), rng.uniform(-BASE_YAW, BASE_YAW)
-        shift[2] = 0.0  # the expert of `handover` needs bases at the same height
         is_second = options.arms == 2 and number != rig.recording_order[0]
         base = {"position": shift.tolist(), "yaw_deg": float(yaw)} if is_second else {}
         named = {"name": arm.name, "side": arm.side, "prefix": arm.prefix}

@@ -1,9 +1,10 @@
-"""Handover of a banana by friction: hands near to each other meet side by side."""
+"""Where hands meet for a handover: side by side if they are near to each other, and level between uneven bases."""
 
 from __future__ import annotations
 
 import os
 from itertools import islice
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -21,6 +22,7 @@ from yamsim_cli.core.expert.skills.handover import Handover
 from yamsim_cli.core.expert.skills.pick import Pick, ReachableGrasp
 from yamsim_cli.core.expert.skills.place import Place
 from yamsim_cli.core.expert.skills.program import build_program
+from yamsim_cli.core.files.documents.yaml_document import dump_yaml, load_yaml
 from yamsim_cli.core.geometry.se3 import invert_pose
 from yamsim_cli.core.sim.sim_world import make_sim_world
 from yamsim_cli.session_opener import SessionOpener
@@ -52,4 +54,19 @@ def test_hands_meet_side_by_side_where_they_do_not_meet_face_to_face() -> None:
         held = ((invert_pose(reach.candidate.T_pinch_in_thing), reach.grasp_joints) for reach in first)
         assert any(handover.infeasibility_reason(bench, cast, giver, banana, T, at, [place]) is None for T, at in held)
         outcome = simulate_expert(simulator, attempt).outcome
+    assert outcome.success, outcome.detail
+
+
+@pytest.mark.parametrize("height", [-0.0044, 0.02])
+def test_hands_meet_between_bases_of_unequal_height(height: float, tmp_path: Path) -> None:
+    opener = SessionOpener(os.environ, lambda text: None, "--{}".format)
+    where = opener.find_locations()
+    rig = load_yaml(Path("configs/rigs/bimanual.yaml")).data
+    rig["arms"][0]["base"] = {"position": [0, 0, height]}
+    (tmp_path / "uneven.yaml").write_text(dump_yaml(rig))
+    config = opener.load_record_config("default", where, task="handover", rig=str(tmp_path / "uneven.yaml"))
+    job = AttemptJob(1, 0)
+    with SimulatorCache(Session(config, where).without_meshes()) as simulators:
+        simulator = simulators.get(job)
+        outcome = simulate_expert(simulator, sample_attempt(simulator, job)).outcome
     assert outcome.success, outcome.detail

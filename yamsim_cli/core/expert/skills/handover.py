@@ -168,7 +168,8 @@ class Handover(Skill):
         check_first = bool(grips.faults)
         T_giving = invert_pose(held.T_thing_in_pinch)
         bases = [hand.arm.T_base_in_world[:3, 3] for hand in (giver, receiver)]
-        middle, across = (bases[0] + bases[1]) / 2, bases[1] - bases[0]
+        # Level, also between bases of unequal height: hands meet with the object upright.
+        middle, across = (bases[0] + bases[1]) / 2, (bases[1] - bases[0]) * (1.0, 1.0, 0.0)
         across = across / np.linalg.norm(across)
         height = float(context.world.aabb(TABLE)[1][2]) + self.height
         attitude = functools.cache(lambda grip: _handover_orientation(T_giving, grip.T_pinch_in_thing))
