@@ -86,7 +86,8 @@ def hold_still() -> None:
         judge, begin = KitchenJudge(realized, motion), time.process_time()
         motion.execute_action(motion.last_reference)
         held = time.process_time() - begin
-        ((substance, source),) = realized.substances.items()
+        substance = blueprint.roles["substance"][0]
+        source = realized.substances[substance]
         vessel = (blueprint.roles.get("vessel") or blueprint.roles["container"])[0]
         grams = [judge.world.contained_mass_g(substance, name) for name in (source, vessel)]
         pieces = len(realized.simulator.scene.pieces[source])

@@ -189,7 +189,7 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
         for name, T in wanted.items()
     }
     coarse = [describe_coarse_pieces(name, one, blueprint, base.locations) for name, one in fillings.items()]
-    coarse += [describe_pile(item) for item in things if is_pile(item)]
+    coarse += [describe_pile(item, blueprint) for item in things if is_pile(item)]
     unrealized = (*_unrealized_conditions(blueprint, offsets), *coarse)
     return BenchmarkScene(
         blueprint, simulator, start, _container_regions(blueprint), offsets, tuple(filter(None, unrealized))

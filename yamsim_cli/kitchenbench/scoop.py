@@ -37,7 +37,9 @@ from .tilting import TICKS, HeldSource, Tilt, nearest_free_hands, tilt_path
 
 _LIFT = 0.05  # m, straight up after grasping the tool: over the dish's wall of 36 mm
 _LAYING_CLEARANCE = 0.01  # m, by which each finger opens to lay the tool down; no other value is recorded
-_JOINT_STEP = 0.65  # rad, largest change of a joint in an action of a stroke or on the way; no other value is recorded
+# rad, largest change of a joint in an action of a stroke or on the way. 1.0 with a spoon was tried only together with
+# the pile of a cup, and brought less.
+_SPOON_JOINT_STEP, _CUP_JOINT_STEP = 0.65, 1.0
 # m, distances of a stroke from the middle of the dish, in the order of preference at equal scores: the dish is 144 mm
 # wide inside.
 _ASIDE = (0.0, 0.008, -0.008, 0.016, -0.016, 0.024, -0.024, 0.034, -0.034, 0.045, -0.045)
@@ -49,19 +51,20 @@ _POUR_STEP = math.radians(30)  # rad, of a cup's tilt in an action; no other val
 _MAX_WAITS = 2  # actions in which the tool waits at its largest tilt, for pieces that slide slowly
 # Shares of a way at which the tool's pose is set: thirds, and for an empty cup the middle.
 _WAY_SHARES, _EMPTY_WAY_SHARES = (0.33, 0.67), (0.5,)
-_MAX_SCOOPS = 14  # scoops in all: more than fit in the benchmark's 120 actions, of which one takes 10 to 24
+_MAX_SCOOPS = 14  # scoops in all: more than fit in the benchmark's 120 actions, of which one takes 8 to 24
 _MAX_EMPTY = 4  # scoops in a row that bring nothing, after which the expert gives up
 
 
 @dataclass(frozen=True)
 class _Stroke:
-    """A stroke: joints (n, dof) of its poses, its heading in `world`, rad, and its line.
+    """A stroke: joints (n, dof) of its poses, the tool's poses (4, 4), its heading in `world`, rad, and its line.
 
     A line is two indices, of a heading of `stroke_headings` and of a distance in `_ASIDE`, which stay when a stroke
     pushes the dish.
     """
 
     joints: Array
+    poses: list[Array]
     heading: float
     line: tuple[int, int]
 
@@ -189,7 +192,7 @@ class _Job:
             poses = self.tool.stroke(dish, T_dish, heading, aside)
             rows = plan_knots(context, self.hand, opening, load, poses, joints)
             if len(rows) == len(poses):
-                return _Stroke(rows, heading, line)
+                return _Stroke(rows, poses, heading, line)
         return None
 
     def release(
@@ -209,7 +212,7 @@ class _Job:
         if stroke is None:
             raise _NoMotionError(FailureCause.UNREACHABLE, f"no free stroke of the {self.tool_name}")
         yield from self.travel(stroke.joints[0])
-        yield from self.follow(stroke.joints[1:])
+        yield from self.sweep(stroke)
         held = context.measure_held_object(hand)
         carried = self.carried()
         if not carried:
@@ -230,6 +233,23 @@ class _Job:
             raise _NoMotionError(FailureCause.UNREACHABLE, f"no way to tilt the {self.tool_name} over the {self.into}")
         yield from self.travel(tilt.joints[0])
         yield from self.tilt(tilt, lambda: self.carried() == 0)
+
+    def sweep(self, stroke: _Stroke) -> Iterator[MotionSegment]:
+        """Yield the motions of a stroke after its first pose.
+
+        Pieces turn a cup in the hand, so each of its motions is planned for the cup as it lies in the hand then.
+        """
+        if self.tool.is_spoon:
+            yield from self.follow(stroke.joints[1:])
+            return
+        context, hand = self.context, self.hand
+        for planned, T_tool in zip(stroke.joints[1:], stroke.poses[1:], strict=True):
+            held = context.measure_held_object(hand)
+            load = AttachedObject(self.tool_name, held.T_thing_in_pinch, (self.source,))
+            joints = hand.solve_ik(T_tool @ invert_pose(held.T_thing_in_pinch), (hand.joints, planned))
+            if joints is None or not is_free_step(context, hand, hand.opening, load, hand.joints, joints):
+                joints = planned
+            yield from self.follow(joints[None])
 
     def lay_down(self, T_start: Array) -> Iterator[MotionSegment]:
         """Yield the motions that lay the tool down near its first pose (4, 4), for another grasp."""
@@ -303,8 +323,9 @@ class _Job:
 
     def follow(self, rows: Array) -> Iterator[MotionSegment]:
         """Yield the motions through joints (n, dof), evenly between two of them."""
+        step = _SPOON_JOINT_STEP if self.tool.is_spoon else _CUP_JOINT_STEP
         for row in rows:
             start = self.hand.joints
-            actions = max(1, math.ceil(float(np.abs(row - start).max()) / _JOINT_STEP))
+            actions = max(1, math.ceil(float(np.abs(row - start).max()) / step))
             path = np.linspace(start, row, TICKS * actions + 1)
             yield self.context.make_segment({self.hand: path}, wait_for_arrival=False)

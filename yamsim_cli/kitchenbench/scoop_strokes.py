@@ -28,15 +28,16 @@ _CHECKS = (0.5, 1.0)  # shares of the way between two poses at which contacts ar
 
 # Poses of a stroke: distance of the tip from the dish's far wall along the heading, m; its height over the dish's
 # floor, m; and the tool's angle, degrees: the spoon's pitch, and the cup's tilt. With 85 degrees, the side of the cup
-# lies on the floor, and with less, its foot, so that its rim rises over the pieces. The cup turns in the hand by some
-# degrees. Its commanded tilt along the floor is therefore 94 degrees or more, and its height down to 2 mm below it.
+# lies on the floor, and with less, its foot, so that its rim rises over the pieces. The pieces turn the cup in the hand
+# by some degrees within a motion. Its tilt along the floor is therefore 92 degrees or more, and its height down to
+# 2 mm below it.
 _SPOON_STROKE = (
     (-0.170, 0.080, -45), (-0.170, 0.004, -45), (-0.080, 0.002, -25), (-0.015, 0.004, -18), (-0.010, 0.030, 8),
     (-0.050, 0.130, 16),
 )  # fmt: skip
 _CUP_STROKE = (
-    (-0.150, 0.060, 118), (-0.150, 0.001, 114), (-0.110, -0.001, 98), (-0.060, -0.002, 95), (-0.012, -0.002, 94),
-    (-0.004, 0.001, 86), (-0.004, 0.020, 72), (-0.004, 0.040, 62), (-0.030, 0.130, 60),
+    (-0.150, 0.060, 116), (-0.150, 0.001, 110), (-0.085, -0.001, 97), (-0.008, -0.002, 92), (-0.002, 0.014, 76),
+    (-0.004, 0.045, 62), (-0.030, 0.130, 60),
 )  # fmt: skip
 _WALL_CLEARANCE = 0.004  # m, from a tool to the long walls of a dish: a cup that rubs on a wall rises over pieces
 _SPOON_LEANS = tuple(math.radians(angle) for angle in (15, 30, -15, -30))  # rad, of the hand along the spoon
