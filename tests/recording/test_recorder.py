@@ -72,7 +72,7 @@ def test_an_attempt_that_loses_its_workers_is_a_failure_like_others(recording: R
     assert "ended its worker 3 times; the last one fell over" in (recording.path / "attempts.jsonl").read_text()
     assert recording.warnings == [
         "Attempt 2 ended its worker 3 times; the last one fell over. "
-        "It will count as a failure unless others fail like it."
+        "It counts as a failure, unless the next attempts end their workers too."
     ]
 
 

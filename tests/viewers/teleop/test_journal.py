@@ -143,7 +143,7 @@ def test_a_recording_is_paused_when_its_page_is_closed(
     before = driven.status.seconds
     run(driven, 1.0)
     assert driven.status.seconds == before
-    assert driven.status.message == "paused, because no browser was connected: Play continues"
+    assert driven.status.message == "paused, because no browser was connected; click Play to continue"
     driven.paused = False
     run(driven, 0.32)
     assert driven.status.seconds > before

@@ -148,7 +148,7 @@ def test_the_magnet_holds_only_what_the_hand_is_at(driven: TeleopScene) -> None:
     run(driven, 0.1)
     assert not driven.status.is_weld_holding
     assert not driven.status.magnet
-    assert driven.message == "the magnet found nothing within its reach"
+    assert driven.message == "no object is within reach of the magnet"
 
 
 def test_a_recording_begins_where_its_attempt_does_whatever_was_done_before(driven: TeleopScene) -> None:
@@ -180,7 +180,7 @@ def test_discarded_comes_again_and_stopped_comes_next(driven: TeleopScene, tray:
     assert not np.allclose(banana(), first)
     driven.stop_recording()
     assert len(tray.attempts) == 1
-    assert driven.message == "nothing was being recorded"
+    assert driven.message == "no recording was in progress"
 
 
 def test_a_stop_lets_go_and_waits_whatever_is_asked_meanwhile(

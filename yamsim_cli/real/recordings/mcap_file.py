@@ -128,8 +128,8 @@ def _matching_naming(
     error = ConfigError if mapping else DatasetError
     raise error(
         f"{path}: its topics are {', '.join(topics) or 'none'}, and "
-        + (f"--mapping {mapping}" if mapping else f"no naming in configs/{CONFIG_KIND}/")
-        + f" does not name the states of rig {rig.name!r} among them; give --mapping names.yaml or another --rig"
+        + (f"--mapping {mapping}" if mapping else f"no config in configs/{CONFIG_KIND}/")
+        + f" names the states of rig {rig.name!r} among them; give a file for --mapping, or another --rig"
     )
 
 
