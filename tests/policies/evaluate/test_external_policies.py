@@ -246,7 +246,9 @@ def test_a_mapping_that_does_not_fit_the_rig_is_told(config: RecordConfig, locat
     )
     lone = PolicyScene("lone", ("left", "right"), 7, (0.05, 0.04), {"scene": "scene_rgb"})
     mapping = load_config(PolicyConfig, "policies", "openpi_aloha", locations)
-    with pytest.raises(UsageError, match=r"images.cam_left_wrist: on rig 'lone' there is no camera left_wrist; valid: "):
+    with pytest.raises(
+        UsageError, match=r"images.cam_left_wrist: on rig 'lone' there is no camera left_wrist; valid: "
+    ):
         MappedPolicy(RecordingClient(), mapping, lone)
 
 
