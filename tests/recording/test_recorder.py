@@ -103,7 +103,7 @@ def test_an_episode_that_cannot_be_made_again_is_named(recording: Recording) -> 
     (recording.path / "ep_000001/lowdim/000000.pkl").unlink()
     with pytest.raises(PartialJobError, match=r"ep_000001 cannot be made again: .* 4 of 5 episodes"):
         recording.resume(Inline(lose={2}))
-    with pytest.raises(DatasetError, match=r"attempt 2 is ep_000001 but fails now \(dropped\)"):
+    with pytest.raises(DatasetError, match=r"attempt 2 was recorded as ep_000001, but fails now \(dropped\)"):
         recording.resume(Inline(lambda job: AttemptPayload(Attempt(job), Outcome(False, FailureCause.DROPPED))))
 
 

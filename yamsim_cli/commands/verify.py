@@ -147,4 +147,6 @@ def _tolerance_hint(report: dict[str, Any]) -> str:
     if unequal or report["problems"] or not report["tolerance"] < report["max_error"] <= _MAX_VERSION_DIFFERENCE:
         return ""
     flag = f"--tolerance {_MAX_VERSION_DIFFERENCE:g}"
-    return f"; if it was recorded on another kind of processor, rounding can cause this: {flag}"
+    return (
+        f"; if the dataset was recorded on another kind of processor, rounding can cause this difference: give {flag}"
+    )

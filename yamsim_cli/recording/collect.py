@@ -205,8 +205,8 @@ class Collector:
 
     def _not_reproduced_error(self, payload: AttemptPayload, episode: int) -> DatasetError:
         return DatasetError(
-            f"{self._sink.path}: attempt {payload.job.attempt} is {episode_name(episode)} but fails now "
-            f"({payload.outcome.cause}): this machine or its packages differ from those that recorded it"
+            f"{self._sink.path}: attempt {payload.job.attempt} was recorded as {episode_name(episode)}, but fails now "
+            f"({payload.outcome.cause}): this machine or its packages differ from the machine of the recording"
         )
 
     def _log_restored_attempt(self, payload: AttemptPayload) -> None:

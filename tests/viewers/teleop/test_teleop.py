@@ -476,7 +476,7 @@ def test_a_damaged_ledger_line_loses_its_attempt_alone(
     assert said[0].startswith("attempts.jsonl was damaged (line 1: ")
     assert said[1:] == [
         "the line of attempt 0 in attempts.jsonl is lost",
-        *["ep_000000 is gone, and a demonstration cannot be made again."] * 2,
+        *["ep_000000 is missing, and a teleoperated episode cannot be recorded again."] * 2,
     ]
     assert [attempt.outcome.cause for attempt in Ledger(out).known_attempts.values()] == [
         "line_lost",

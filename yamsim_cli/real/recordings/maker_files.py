@@ -114,7 +114,8 @@ def _load_rows(file: Path, width: int, count: int | None = None) -> Array:
     if rows.ndim != 2 or rows.shape[1] != width or (count is not None and len(rows) != count):
         wanted = f"({'n' if count is None else count}, {width})"
         raise DatasetError(
-            f"{file}: has the shape {rows.shape}; valid: {wanted}; was it cut off, or give another --rig"
+            f"{file}: has the shape {rows.shape}; valid: {wanted}; copy the file again if it was cut off, or give "
+            "another --rig"
         )
     return rows
 

@@ -122,7 +122,7 @@ def read_lowdim(path: Path, rig: RigConfig) -> list[Recording]:
     )
     if not folders:
         raise DatasetError(
-            f"{path}: contains no lowdim/, nor does a folder in it; give an episode or a folder of episodes"
+            f"{path}: neither this folder nor a folder in it contains lowdim/; give an episode or a folder of episodes"
         )
     return [_lowdim_recording(folder, rig) for folder in folders]
 
