@@ -128,7 +128,10 @@ def check_inertia(tested_object: TestedObject) -> CheckOutcome:
         )
     if (moments > most).any():
         axis = int((moments / most).argmax())
-        note = f"{moments[axis]:.3g} kg m2 is more than {most[axis]:.3g}, the moment if all mass were at its farthest point"
+        note = (
+            f"{moments[axis]:.3g} kg m2 is more than {most[axis]:.3g}, the moment if all mass were at its farthest "
+            "point"
+        )
         return CheckOutcome(False, figures, note, views)
     if (moments < _MIN_BOX_SHARE * filled).any():
         axis = int((moments / filled).argmin())

@@ -214,7 +214,8 @@ def read_lerobot(path: Path, rig: RigConfig, mapping: str | None, locations: Loc
         row, count = rows.get(number, {}), len(table["episode_index"])
         if (stated := row.get("length")) is not None and stated != count:
             raise DatasetError(
-                f"{path} episode {number}: has {count} rows, and meta/ says {stated}; it was probably cut off: copy it again, or leave it out"
+                f"{path} episode {number}: has {count} rows, and meta/ says {stated}; it was probably cut off: copy "
+                "it again, or leave it out"
             )
         recordings.append(_read_recording(dataset, number, table, tasks, row if version.startswith("v3") else None))
     if not recordings:

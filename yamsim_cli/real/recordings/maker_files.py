@@ -156,7 +156,8 @@ def _camera_times(folder: Path, role: str, ticks: int) -> Array:
     stamps = _load_array(file)
     if stamps.shape != (ticks,):
         raise DatasetError(
-            f"{file}: has the shape {stamps.shape}; valid: ({ticks},); it was probably cut off: copy it again, or leave it out"
+            f"{file}: has the shape {stamps.shape}; valid: ({ticks},); it was probably cut off: copy it again, or "
+            "leave it out"
         )
     return stamps * _S_PER_MS
 

@@ -140,7 +140,8 @@ def _last_values(rows: TopicRows, stamps: SampleIndices, width: int, source: str
     when = np.array([time for time, _ in rows], dtype=np.int64)
     if when[0] - stamps[0] > _MAX_START_DELAY * 1e9:
         raise DatasetError(
-            f"{source}: begins {(when[0] - stamps[0]) * 1e-9:.1f} s after the arm's state; it was probably cut off: copy it again, or leave it out"
+            f"{source}: begins {(when[0] - stamps[0]) * 1e-9:.1f} s after the arm's state; it was probably cut off: "
+            "copy it again, or leave it out"
         )
     short = next((k for k, (_, values) in enumerate(rows) if len(values) < width), None)
     if short is not None:

@@ -105,7 +105,8 @@ def _raw_rows(arrays: Mapping[str, NDArray[np.generic]], key: str, shape: tuple[
     rows = np.asarray(arrays[key], dtype=np.float64)
     if rows.shape != shape:
         raise DatasetError(
-            f"{file}: {key} has the shape {rows.shape}; valid: {shape}; it was probably cut off: copy it again, or leave it out"
+            f"{file}: {key} has the shape {rows.shape}; valid: {shape}; it was probably cut off: copy it again, or "
+            "leave it out"
         )
     if not np.isfinite(rows).all():
         at = int(np.argwhere(~np.isfinite(rows))[0, 0])
@@ -216,7 +217,8 @@ def _camera_files(folder: Path, frames: int) -> dict[str, list[Path]]:
         files = _numbered_files(camera, _PICTURE_SUFFIXES) if camera.is_dir() else []
         if files and len(files) != frames:
             raise DatasetError(
-                f"{camera}: has {len(files)} images, and lowdim/ has {frames} frames; it was probably cut off: copy it again, or leave it out"
+                f"{camera}: has {len(files)} images, and lowdim/ has {frames} frames; it was probably cut off: copy "
+                "it again, or leave it out"
             )
         if files:
             found[camera.name] = files
@@ -237,7 +239,8 @@ def _frame_times(folder: Path, frames: Sequence[dict[str, Any]], cameras: Mappin
             raise DatasetError(f"{file} cannot be read: {error}") from error
         if len(stamps) != len(frames):
             raise DatasetError(
-                f"{file}: has {len(stamps)} times, and lowdim/ has {len(frames)} frames; it was probably cut off: copy it again, or leave it out"
+                f"{file}: has {len(stamps)} times, and lowdim/ has {len(frames)} frames; it was probably cut off: "
+                "copy it again, or leave it out"
             )
         return times_from_nanoseconds(stamps, str(file))
     raise DatasetError(f"{folder}: has no times, neither `timestamp` in lowdim/ nor rgb/<camera>/{_TIMESTAMPS_FILE}")
