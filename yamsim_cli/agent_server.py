@@ -83,10 +83,14 @@ class CommandRunner:
         shown = f"yamsim {' '.join(arguments)}"
         if code is None:
             raise UsageError(
-                f"{shown}: ended after {self._seconds:g} s; ask for less, or raise --seconds of yamsim mcp"
+                f"{shown}: stopped after {self._seconds:g} s; give fewer episodes or trials, or start yamsim mcp "
+                "with a larger --seconds"
             )
         if len(out) > _MAX_ANSWER_BYTES:
-            raise UsageError(f"{shown}: its JSON has {len(out)} bytes; at most {_MAX_ANSWER_BYTES} are answered")
+            raise UsageError(
+                f"{shown}: its JSON has {len(out)} bytes; an answer has at most {_MAX_ANSWER_BYTES}; give fewer "
+                "episodes or trials"
+            )
         try:
             report = json.loads(out)
         except ValueError:
@@ -107,7 +111,7 @@ def make_server(root: Path, seconds: float) -> MCPServer:
     """
     require_library("yamsim mcp", "mcp", "mcp")
     if not root.is_dir():
-        raise UsageError(f"--root {root}: is no folder")
+        raise UsageError(f"--root {root} is not a folder; give the folder of the datasets")
 
     from mcp.server import MCPServer
     from mcp.types import ToolAnnotations

@@ -103,7 +103,7 @@ class CameraReader(Closable):
         height, width = self.form.height, self.form.width
         if (header.get("width"), header.get("height"), len(data)) != (width, height, 3 * height * width):
             self.close()
-            raise ResourceError(f"camera {self.camera!r}: its pictures have another size now; open it again")
+            raise ResourceError(f"camera {self.camera!r}: the size of its pictures has changed; open it again")
         try:
             return Picture(
                 image=np.frombuffer(data, np.uint8).reshape(height, width, 3),
@@ -155,7 +155,9 @@ def _camera_socket_path(folder: str | Path | None) -> Path:
 
 
 def _invalid_answer(folder: str | Path | None) -> ResourceError:
-    return ResourceError(f"{_camera_socket_path(folder)}: the server there is not a serve-robot of this version")
+    return ResourceError(
+        f"{_camera_socket_path(folder)}: this server is not `yamsim serve-robot`, or is another version of it"
+    )
 
 
 class _CameraConnection:
@@ -186,16 +188,16 @@ class _CameraConnection:
             self._socket.sendall(len(request).to_bytes(4, "little") + request)
             length = int.from_bytes(self._receive(4, deadline), "little")
             if length > _MAX_HEADER_BYTES:
-                raise ResourceError(f"{self.path}: the server there is not a serve-robot")
+                raise ResourceError(f"{self.path}: this server is not `yamsim serve-robot`")
             answer = json.loads(self._receive(length, deadline))
             size = answer.get("bytes") if isinstance(answer, dict) else None
             if type(size) is not int or not 0 <= size <= _MAX_PICTURE_BYTES:
-                raise ResourceError(f"{self.path}: the server there is not a serve-robot")
+                raise ResourceError(f"{self.path}: this server is not `yamsim serve-robot`")
             data = self._receive(size, deadline)
         except TimeoutError:
             raise
         except (OSError, ValueError, RecursionError) as error:
-            raise ResourceError(f"{self.path}: serve-robot has ended, or does not answer as it should") from error
+            raise ResourceError(f"{self.path}: serve-robot has ended, or its answer is not valid") from error
         if "error" in answer:
             raise ResourceError(f"{self.path}: {answer['error']}")
         return answer, data
@@ -217,5 +219,5 @@ class _CameraConnection:
     def _set_timeout(self, deadline: float) -> None:
         left = deadline - time.monotonic()
         if left <= 0:
-            raise TimeoutError(f"{self.path}: no new picture in time")
+            raise TimeoutError(f"{self.path}: no new picture within the timeout")
         self._socket.settimeout(left)

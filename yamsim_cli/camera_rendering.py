@@ -324,7 +324,7 @@ def require_fixed_plates(config: RecordConfig) -> None:
         if plate.camera == SCENE_CAMERA and (ranges.camera or ranges.lens_deg):
             raise UsageError(
                 f"randomization {ranges.name!r} moves {plate.camera}, but scene {config.scene.name!r} has a photo "
-                "behind it, which fits only its own pose; leave `camera` and `lens_deg` out of the ranges"
+                "behind it, which fits only the camera's own pose; leave `camera` and `lens_deg` out of the ranges"
             )
         if effects and effects.has_lens:
             raise UsageError(

@@ -163,7 +163,7 @@ def _check_chosen_gl(wanted: str | None, found: Mapping[str, GlBackend | str]) -
             "install the EGL part of the GPU's driver (libnvidia-gl, or libegl-mesa0), and in a container enable it "
             "(NVIDIA_DRIVER_CAPABILITIES=all)"
         )
-        return HealthCheck("gl", Health.WARNING, f"{gpu} is there, but {chosen.renderer} renders, without a GPU", fix)
+        return HealthCheck("gl", Health.WARNING, f"{gpu} exists, but OpenGL uses {chosen.renderer}, without a GPU", fix)
     quality = "balanced" if chosen.is_software else "high"
     return HealthCheck("gl", Health.OK, f"MUJOCO_GL={chosen.name} will be used; --quality auto is {quality}")
 
@@ -239,7 +239,7 @@ def _check_disk(out: Path) -> Iterator[HealthCheck]:
     free = shutil.disk_usage(place).free
     fit = free // (_FRAMES_PER_EPISODE * (_IMAGE_BYTES + _LOWDIM_BYTES + _FILESYSTEM_BLOCK_BYTES))
     detail = (
-        f"{place}: {free / 1e9:.1f} GB free, room for some {fit} episodes; writing one takes {seconds * 1000:.0f} ms"
+        f"{place}: {free / 1e9:.1f} GB free, room for about {fit} episodes; writing one takes {seconds * 1000:.0f} ms"
     )
     figures = {"free_bytes": float(free), "episodes": float(fit), "episode_s": seconds}
     if fit < _MIN_EPISODES_OF_SPACE:

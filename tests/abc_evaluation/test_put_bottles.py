@@ -233,7 +233,7 @@ def test_a_policy_that_needs_another_scene_is_refused(
     folder: Path, locations: Locations, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("yamsim_cli.abc_evaluation.trial.make_policy", lambda *_: Privileged())
-    with pytest.raises(UsageError, match="--policy replay:dataset: put_bottles has no recordings"):
+    with pytest.raises(UsageError, match="--policy replay:dataset: no dataset of put_bottles exists"):
         run(folder, PolicyChoice("replay:dataset", HERE), locations)
 
 

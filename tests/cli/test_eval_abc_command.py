@@ -123,7 +123,10 @@ def test_other_model_files_are_refused(checkout: Path) -> None:
 def test_flags_of_other_scenes_are_refused(flags: tuple[str, ...]) -> None:
     run = yamsim(*EVAL, "--policy", "scripted", "--n", "1", *flags, env={"YAMSIM_ABC": ""})
     assert run.code == 2
-    assert run.message == f"{flags[0]} is not for --task abc/put_bottles, whose scene, start and success rule are ABC's"
+    expected = (
+        f"{flags[0]} is not for --task abc/put_bottles, whose scene, starts and success rule are fixed: leave it out"
+    )
+    assert run.message == expected
 
 
 def test_other_commands_refuse_the_task() -> None:

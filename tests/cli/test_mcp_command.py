@@ -81,16 +81,16 @@ def test_a_link_out_of_the_root_is_refused(tmp_path: Path) -> None:
 def test_a_command_that_takes_too_long_or_says_too_much_is_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(UsageError, match=r"yamsim robots list: ended after 0\.01 s"):
+    with pytest.raises(UsageError, match=r"yamsim robots list: stopped after 0\.01 s"):
         CommandRunner(tmp_path, 0.01).run("robots", "list")
     monkeypatch.setattr(agent_server, "_MAX_ANSWER_BYTES", 10)
     monkeypatch.setattr(agent_server, "_run_bounded", lambda *_: (0, '{"items": []}', ""))
-    with pytest.raises(UsageError, match="its JSON has 13 bytes; at most 10"):
+    with pytest.raises(UsageError, match="its JSON has 13 bytes; an answer has at most 10;"):
         CommandRunner(tmp_path, 1).run("robots", "list")
 
 
 def test_without_a_folder_or_the_extra_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(UsageError, match="is no folder"):
+    with pytest.raises(UsageError, match="is not a folder"):
         make_server(tmp_path / "none", 1)
     monkeypatch.setitem(sys.modules, "mcp", None)
     with pytest.raises(ResourceError, match=r"pip install 'yamsim\[mcp\]'"):

@@ -82,7 +82,7 @@ def test_a_whole_dataset(sample: SampleDataset, report: Any) -> None:
         "banana, end",
         "plate, start",
         "Pictures",
-        "How it was made",
+        "Settings and versions",
     ]
     assert pictures_are_well_formed(text) == 7
     assert "Complete: every file was opened" in reader.text

@@ -98,7 +98,7 @@ def test_physics_that_deviates_is_refused(dataset: Path, locations: Locations, t
     ctrl = open_episode(copy / "ep_000000").frames()[20]["sim_ctrl"]
     change_frame(copy / "ep_000000", 20, rehash=True, sim_ctrl=ctrl + 0.01)
     options = RaidenOptions(pictures="nearest")
-    with pytest.raises(DatasetError, match=r"repeated in physics, lead .* away by frame 21, .* --fps source"):
+    with pytest.raises(DatasetError, match=r"again gives a state of frame 21 that is .* away .* --fps source"):
         export_raiden(open_source(copy, "0", locations), tmp_path / "out", locations, lambda *_: None, options)
     for key in SIMULATION_KEYS:
         for k in range(frame_count(copy / "ep_000000")):

@@ -251,5 +251,5 @@ def test_invalid_changes_are_refused(
 def test_the_dataset_itself_is_no_output(physics: Path) -> None:
     before = contents(physics)
     done = yamsim("draw", physics, "--out", physics, "--overwrite", "--offline")
-    assert done.code == 2 and "stays as it is" in done.message
+    assert done.code == 2 and "which draw does not change" in done.message
     assert contents(physics) == before

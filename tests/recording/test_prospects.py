@@ -61,9 +61,9 @@ def test_ten_that_fail_in_one_way_are_enough_where_no_start_is_better(
     assert asked == [(FailureCause.UNREACHABLE, 10)]
     message = str(caught.value)
     assert message == (
-        "task 'pickplace' cannot work as it is: its first 10 attempts all failed with one cause, and 100 more have "
-        "no better start; 10 unreachable (failed for the 9th time); look at `starts`, the steps of `expert`, and where "
-        "the rig's arms stand; then record with --overwrite, or to another --out"
+        "task 'pickplace' cannot succeed: its first 10 attempts failed with the same cause, and the starts of 100 more "
+        "have the same problem; 10 unreachable (failed for the 9th time); look at `starts`, the steps of `expert`, and "
+        "where the rig's arms stand; after a change, record with --overwrite, or to another --out"
     )
 
 
@@ -126,7 +126,7 @@ def test_a_task_that_works_too_rarely_is_given_up_with_what_there_is(recording: 
     assert len(recording.causes()) == 100
     message = str(caught.value)
     assert message.startswith(
-        "gave up after 100 attempts: the task works too rarely, 4 of 100 times and at least 1 in 20 is needed; "
+        "gave up after 100 attempts: only 4 succeeded, and at least 1 of 20 must; "
         "96 slipped (failed for the 99th time); look at the object's `grasp.friction`"
     )
     assert message.endswith(f"; 4 of 5 episodes are complete in {recording.path}")

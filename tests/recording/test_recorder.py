@@ -72,7 +72,7 @@ def test_an_attempt_that_loses_its_workers_is_a_failure_like_others(recording: R
     assert "ended its worker 3 times; the last one fell over" in (recording.path / "attempts.jsonl").read_text()
     assert recording.warnings == [
         "Attempt 2 ended its worker 3 times; the last one fell over. "
-        "It will count as a failure unless others fail like it."
+        "It counts as a failure, unless the next attempts end their workers too."
     ]
 
 
@@ -103,7 +103,7 @@ def test_an_episode_that_cannot_be_made_again_is_named(recording: Recording) -> 
     (recording.path / "ep_000001/lowdim/000000.pkl").unlink()
     with pytest.raises(PartialJobError, match=r"ep_000001 cannot be made again: .* 4 of 5 episodes"):
         recording.resume(Inline(lose={2}))
-    with pytest.raises(DatasetError, match=r"attempt 2 is ep_000001 but fails now \(dropped\)"):
+    with pytest.raises(DatasetError, match=r"attempt 2 was recorded as ep_000001, but fails now \(dropped\)"):
         recording.resume(Inline(lambda job: AttemptPayload(Attempt(job), Outcome(False, FailureCause.DROPPED))))
 
 

@@ -108,7 +108,7 @@ def test_the_command_says_what_differs(datasets: tuple[Path, Path]) -> None:
     [
         (("--diff",), "--diff takes two datasets, not 1"),
         (("--diff", "--merge"), "exclude each other"),
-        (("--html", "x.html"), "--html is for --diff"),
+        (("--html", "x.html"), "--html needs --diff"),
         (("--diff", "--out", "x.yaml"), "--out is not for --diff"),
     ],
 )
@@ -122,4 +122,4 @@ def test_flags_that_do_not_fit_are_refused(flags: tuple[str, ...], said: str, tm
 def test_a_missing_folder_is_one_line(datasets: tuple[Path, Path], tmp_path: Path, flags: tuple[str, ...]) -> None:
     done = yamsim("review", "--diff", datasets[0], tmp_path / "nowhere", *flags)
     assert done.code not in (0, 1)
-    assert done.err.strip() == f"yamsim: {tmp_path / 'nowhere'} is no folder; give the folder of a dataset"
+    assert done.err.strip() == f"yamsim: {tmp_path / 'nowhere'} is not a folder; give the folder of a dataset"

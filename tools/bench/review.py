@@ -54,7 +54,7 @@ return new Promise((done) => {
   requestAnimationFrame(turn);
 });
 """
-# Goes to the next episode that deserves a look, waits for its pictures, decides, and waits until that is confirmed.
+# Goes to the next episode by priority, waits for its pictures, decides, and waits until that is confirmed.
 _DECIDE = """
 const [count] = arguments, times = [],
   press = (key) => document.body.dispatchEvent(new KeyboardEvent('keydown', {key, bubbles: true}));

@@ -116,7 +116,9 @@ def require_supported_flags(given: Mapping[str, object]) -> None:
     """
     for flag, value in given.items():
         if value is not None:
-            raise UsageError(f"{flag} is not for --task {ABC_TASK}, whose scene, start and success rule are ABC's")
+            raise UsageError(
+                f"{flag} is not for --task {ABC_TASK}, whose scene, starts and success rule are fixed: leave it out"
+            )
 
 
 def _lost_trial(lost: LostJobError) -> BottlesResult:

@@ -57,7 +57,10 @@ def _tree_digest(folder: Path, left: list[int]) -> bytes:
     for path in folder.iterdir():
         left[0] -= 1
         if left[0] < 0:
-            raise ResourceError(f"{folder}: has more than {_MAX_FILES} files, so it is not the one of amazon-far/abc")
+            raise ResourceError(
+                f"{folder}: has more than {_MAX_FILES} files, so it is no checkout of amazon-far/abc; set "
+                f"{CHECKOUT_VARIABLE} to the folder of a checkout"
+            )
         if path.is_dir():
             # Git sorts a folder's name as if it ended with a slash.
             entries.append((f"{path.name}/", b"40000", path.name, _tree_digest(path, left)))

@@ -104,7 +104,10 @@ class BottlesTrialRunner(Closable):
         self._caller = PolicyCaller(choice.call_seconds, choice.folder)
         try:
             if isinstance(self._policy, PrivilegedPolicy):
-                raise UsageError(f"--policy {choice.name}: put_bottles has no recordings")
+                raise UsageError(
+                    f"--policy {choice.name}: no dataset of put_bottles exists, so its actions cannot be replayed; "
+                    "give another --policy"
+                )
             self._cameras = select_cameras(wanted_images(self._policy), _CAMERAS, "put_bottles")
             self._wanted = frozenset(wanted_state(self._policy))
             execute = choice.chunking.execute or getattr(self._policy, "execute", None) or EXECUTED_ACTIONS

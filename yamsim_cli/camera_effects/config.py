@@ -81,13 +81,15 @@ class CameraEffects(Config):
         valid = _COEFFICIENT_COUNTS[self.lens]
         if len(self.distortion) not in valid:
             raise ConflictError(
-                f"distortion has {len(self.distortion)} numbers, but lens {self.lens!r} has "
+                f"distortion has {len(self.distortion)} numbers; valid for lens {self.lens!r}: "
                 f"{', '.join(map(str, valid))}",
                 ("distortion",),
                 ("lens",),
             )
         if self.read_noise_e and self.full_well_e is None:
-            raise ConflictError("read_noise_e needs full_well_e, the electrons of white", ("read_noise_e",))
+            raise ConflictError(
+                "read_noise_e needs full_well_e, the number of electrons of a white pixel", ("read_noise_e",)
+            )
         if self.h264_qp is None and self.h264_key_frames != type(self).model_fields["h264_key_frames"].default:
             raise ConflictError("h264_key_frames needs h264_qp, the quantization of the video", ("h264_key_frames",))
         if self.crop is not None:

@@ -43,7 +43,9 @@ class Bus(can.BusABC):
             self._socket.connect(str(_bus_socket_path(channel)))
         except OSError as error:
             self._socket.close()
-            raise can.CanInitializationError(f"{channel} is not served any more: {error.strerror}") from error
+            raise can.CanInitializationError(
+                f"{channel}: yamsim no longer serves this channel: {error.strerror}"
+            ) from error
         self._socket.setblocking(False)
         super().__init__(channel=channel, can_filters=can_filters, **kwargs)
 
@@ -57,9 +59,11 @@ class Bus(can.BusABC):
                 wire = wire[self._socket.send(wire) :]
             except BlockingIOError:
                 if not select.select([], [self._socket], [], timeout)[1]:
-                    raise can.CanOperationError("the bus takes no more messages") from None
+                    raise can.CanOperationError(
+                        f"{self.channel}: the bus accepts no message within the timeout"
+                    ) from None
             except OSError as error:
-                raise can.CanOperationError(f"{self.channel} is gone: {error.strerror}") from error
+                raise can.CanOperationError(f"{self.channel}: the connection is lost: {error.strerror}") from error
         if self._receives_own:
             self._own_messages.append(self._decode_message(_FRAME.pack(msg.arbitration_id | flags, msg.dlc, data)))
 
@@ -74,7 +78,7 @@ class Bus(can.BusABC):
             except (OSError, ValueError) as error:
                 raise can.CanOperationError(f"{self.channel} was closed: {error}") from error
             if not data:
-                raise can.CanOperationError(f"{self.channel} is gone: its server has ended")
+                raise can.CanOperationError(f"{self.channel}: the connection is lost: yamsim serve-robot has ended")
             self._buffer += data
             if len(self._buffer) < _FRAME.size:
                 return None, False

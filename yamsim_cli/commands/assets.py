@@ -345,9 +345,10 @@ def _import_file(
     for text in made.notes:
         print_note(f"{file.name}: {text}")
     if made.mass_is_guessed:
-        kind = "evenly filled" if made.is_closed else "as a sheet 2 mm thick, since its surface encloses nothing"
+        kind = "a solid" if made.is_closed else "a sheet 2 mm thick, because its surface is not closed,"
         print_note(
-            f"{file.name}: {made.mass * 1000:.3g} g is a guess, {kind} with 1,000 kg/m3: give --mass or --density"
+            f"{file.name}: its mass of {made.mass * 1000:.3g} g is a guess, for {kind} of 1,000 kg/m3: give --mass "
+            "or --density"
         )
     item = _file_item(imported)
     collision = item["collision"]

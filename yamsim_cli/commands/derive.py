@@ -144,5 +144,5 @@ def _print(done: DerivedDataset, json: bool, selections: list[Any]) -> None:
 
 
 def _result_line(done: DerivedDataset) -> str:
-    equal = f", {done.duplicates} equal ones left out" if done.duplicates else ""
+    equal = f", {count_noun(done.duplicates, 'duplicate')} left out" if done.duplicates else ""
     return f"{count_noun(done.episodes, 'episode')}, {count_noun(done.frames, 'frame')} in {done.path}{equal}"

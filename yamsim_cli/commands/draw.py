@@ -76,7 +76,7 @@ def draw(
     """
     mode = open_mode(resume=resume, overwrite=overwrite)
     if out.resolve() == dataset.resolve():
-        raise UsageError(f"--out {out} is the dataset itself, which stays as it is; give another directory")
+        raise UsageError(f"--out {out} is the dataset to draw, which draw does not change; give another directory")
     where = session_opener.find_locations()
 
     from yamsim_cli.core.dataset.dataset_paths import CONFIG_FILE

@@ -109,7 +109,7 @@ def evaluate(
     Example: yamsim eval --policy my_policy.py:MyPolicy --n 50 --seed 0 --workers 2
     """
     if video_all and video is None:
-        raise UsageError("--video-all is for videos: give --video")
+        raise UsageError("--video-all needs --video; give --video too, or leave --video-all out")
     require_unused_reports(out, html, overwrite=overwrite)
     others = compare or []
     if policy is None:

@@ -113,12 +113,17 @@ def raiden(
     from yamsim_cli.export.raiden_schema import RaidenOptions
 
     if fps == "source" and pictures:
-        raise UsageError(f"--pictures {pictures} needs other times than the recorded ones: leave out --fps source")
+        raise UsageError(
+            f"--pictures {pictures} does not apply to --fps source, which exports the recorded pictures; leave one "
+            "of them out"
+        )
     options = RaidenOptions(_parse_fps(fps), pictures or "draw", images, single, hand_frame)
     chosen = selection_of(dataset, selection, who)
     if is_imported_dataset(dataset):
         if pictures == "draw":
-            raise UsageError(f"--pictures draw: {dataset} is real, and only recorded pictures can be exported")
+            raise UsageError(
+                f"--pictures draw: {dataset} is real, so only its recorded pictures can be exported; give nearest"
+            )
         done = _real_raiden(dataset, out, options, actions, episodes, chosen, overwrite)
     else:
         _require_real("--actions", actions, dataset)

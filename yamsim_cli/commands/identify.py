@@ -151,9 +151,9 @@ def identify(
     for one in found:
         if one.held_out_error.relative_reduction <= 0:
             raise SimulationError(
-                f"{one.side or one.arm}: on {one.held_out_error.source}, which was held out, the gap did not fall: "
-                f"{1000 * one.held_out_error.rms_before:.2f} mrad before, "
-                f"{1000 * one.held_out_error.rms_after:.2f} after; record a log of a motion of `yamsim excite`"
+                f"{one.side or one.arm}: the gap on the held-out {one.held_out_error.source} did not fall: "
+                f"{1000 * one.held_out_error.rms_before:.2f} mrad before, {1000 * one.held_out_error.rms_after:.2f} "
+                "after; record a log of a motion of `yamsim excite`"
             )
 
 

@@ -117,14 +117,16 @@ def _print(done: StationMatch, out: Path) -> None:
             f"{photo.arms_after:.1f}, of the image {photo.all_before:.1f} -> {photo.all_after:.1f} of 255"
         )
     if done.light is None:
-        print_note("too little of the arms is visible to fit the light; the scene keeps its own")
+        print_note("the photos show too little of the arms to estimate the light; the scene keeps the light of --scene")
     if done.plate.filled_share:
         print_note(
-            f"the arms hide {100 * done.plate.filled_share:.1f} % of the background in every photo, which is filled "
-            "from its surroundings; add photos with the arms elsewhere"
+            f"the arms hide {100 * done.plate.filled_share:.1f} % of the background in every photo; this part is "
+            "filled with the colours around it; add photos with the arms elsewhere"
         )
     if not done.has_table_photo:
-        print_note("the photos show too little of the table, which keeps its colour")
+        print_note(
+            "the photos show too little of the table to estimate its colour; the table keeps the colour of --scene"
+        )
     for text in done.notes:
         print_note(text)
     print_line(f"{out / 'matched.yaml'}: for `yamsim record --scene`; {out / 'match.html'} shows photo and match")

@@ -191,7 +191,7 @@ def _repeat_in_physics(stored: StoredEpisode, locations: Locations) -> dict[str,
     try:
         found = reproduce_episode(stored, _dataset_session(stored, locations))
     except DatasetError as error:
-        print_note(f"Its actions were not repeated: {error}.")
+        print_note(f"Its actions were not simulated again: {error}.")
         found = None
     if found is None:
         return dict(_UNREPRODUCIBLE_RESULT)
@@ -200,7 +200,10 @@ def _repeat_in_physics(stored: StoredEpisode, locations: Locations) -> dict[str,
 
 def _print_physics(report: dict[str, Any]) -> None:
     if (first := report["first_divergence"]) is not None:
-        since = "" if first["frame"] is None else f", from frame {first['frame']} on, {first['quantity']} first"
-        print_note(f"Its actions, repeated in physics, lead up to {report['max_error']:.3g} away{since}.")
+        since = "" if first["frame"] is None else f", first {first['quantity']} of frame {first['frame']}"
+        print_note(
+            f"Simulating its actions again gives states up to {report['max_error']:.3g} away from the recorded "
+            f"ones{since}."
+        )
     elif report["max_error"] is not None:
-        print_line("its actions, repeated in physics, lead to the same states, bit for bit")
+        print_line("simulating its actions again gives the same states, bit for bit")

@@ -72,13 +72,13 @@ def review(
     if merge and diff:
         raise UsageError("--merge and --diff exclude each other; give one of them")
     if html and not diff:
-        raise UsageError("--html is for --diff: a review is a page anyway")
+        raise UsageError("--html needs --diff: without --diff, `yamsim review` serves a page itself; leave --html out")
     if merge:
         _merge(paths, out, overwrite, json)
         return
     if diff:
         if out or report:
-            raise UsageError(f"{'--out' if out else '--report'} is not for --diff, which takes datasets alone")
+            raise UsageError(f"{'--out' if out else '--report'} is not for --diff; leave it out")
         _compare(paths, html, motion, overwrite, json)
         return
     if len(paths) != 1:
@@ -86,7 +86,7 @@ def review(
             f"yamsim review takes one dataset, not {len(paths)}; --diff takes two, and --merge two selections"
         )
     if overwrite:
-        raise UsageError("--overwrite is for --merge and --diff: a review continues its selection")
+        raise UsageError("--overwrite needs --merge or --diff: a review adds to its selection; leave --overwrite out")
     dataset = paths[0]
     _require_dataset(dataset)
     _serve(dataset, out, reviewer, undecided, report or [], motion, _DEFAULT_PORT if port is None else port, json)
@@ -95,7 +95,7 @@ def review(
 def _require_dataset(path: Path) -> None:
     """Refuse what is no folder, and recordings of other programs, with the command that imports them."""
     if not path.is_dir():
-        raise DatasetError(f"{path} is no folder; give the folder of a dataset")
+        raise DatasetError(f"{path} is not a folder; give the folder of a dataset")
     from yamsim_cli.core.dataset.imported_records import is_yamsim_data
 
     if is_yamsim_data(path) or any(path.glob("ep_*/episode.json")):
@@ -143,7 +143,7 @@ def _read_rig(dataset: Path) -> RigConfig | None:
 
 def _compare(paths: list[Path], html: Path | None, motion: bool, overwrite: bool, json: bool) -> None:
     if len(paths) != 2:
-        raise UsageError(f"--diff takes two datasets, not {len(paths)}: give A/ B/")
+        raise UsageError(f"--diff takes two datasets, not {len(paths)}: give their two folders")
     if html:
         require_unused_paths("--html", html, overwrite=overwrite)
     for path in paths:
@@ -180,9 +180,9 @@ def _compare(paths: list[Path], html: Path | None, motion: bool, overwrite: bool
 
 def _merge(paths: list[Path], out: Path | None, overwrite: bool, json: bool) -> None:
     if len(paths) != 2:
-        raise UsageError(f"--merge takes two selections, not {len(paths)}: give A.yaml B.yaml")
+        raise UsageError(f"--merge takes two selections, not {len(paths)}: give two files, such as A.yaml B.yaml")
     if out is None:
-        raise UsageError("--merge needs --out FILE, the merged selection")
+        raise UsageError("--merge needs --out FILE, the file of the merged selection")
     require_unused_paths("--out", out, overwrite=overwrite)
 
     from yamsim_cli.core.dataset.dataset_paths import episode_name
@@ -200,8 +200,8 @@ def _merge(paths: list[Path], out: Path | None, overwrite: bool, json: bool) -> 
             print_line(f"conflict in {episode_name(conflict.episode)}: {conflict.first}, and {conflict.second}")
     if conflicts:
         raise PartialJobError(
-            f"{count_noun(len(conflicts), 'conflict')}: these episodes are undecided in {out}, first "
-            f"{episode_name(conflicts[0].episode)}; decide them with `yamsim review`"
+            f"{count_noun(len(conflicts), 'conflict')}, the first in {episode_name(conflicts[0].episode)}: the "
+            f"episodes with conflicts are undecided in {out}; decide them with `yamsim review`"
         )
 
 
@@ -230,8 +230,8 @@ def _serve(
     with DecisionFile(out or dataset / SELECTION_FILE, dataset, directories, undecided) as decisions:
         if decisions.stale:
             print_note(
-                f"{count_noun(len(decisions.stale), 'decision')} are stale, because the episodes have changed: "
-                "they are undecided again"
+                f"{count_noun(len(decisions.stale), 'stale decision')}: these episodes have changed since they were "
+                "decided, and are undecided again"
             )
         name = _user_name() if reviewer is None else reviewer
         with (

@@ -155,8 +155,8 @@ def serve_robot(
         print_json({"channels": [bus.channel for bus in served.motor_simulation.buses], **asdict(pace)})
         return
     print_line(
-        f"{pace.steps} steps in {pace.seconds:.1f} s, the latest {pace.late_ms:.2f} ms late, {pace.late_steps} by more "
-        f"than a step, {pace.lost_ms:.0f} ms lost; {pace.frames} frames"
+        f"{pace.steps} physics steps in {pace.seconds:.1f} s, at most {pace.late_ms:.2f} ms late; {pace.late_steps} "
+        f"steps more than one step late; {pace.lost_ms:.0f} ms lost; {pace.frames} frames"
     )
 
 

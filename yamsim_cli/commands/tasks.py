@@ -91,7 +91,7 @@ def check(
     Example: yamsim tasks check tower --n 20
     """
     if overwrite and video is None:
-        raise UsageError("--overwrite is for videos: give --video")
+        raise UsageError("--overwrite needs --video; give --video too, or leave --overwrite out")
     session = session_opener.open(
         config, renders=video is not None, task=name, n=n, seed=seed, workers=workers, rig=rig
     )

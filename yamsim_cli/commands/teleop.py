@@ -102,8 +102,8 @@ def _print(report: TeleopReport, json: bool) -> None:
         print_line(f"attempt {trial.attempt}: {end}")
     if (jitter := report.jitter) is not None:
         print_line(
-            f"{jitter.ticks} ticks at {jitter.rate_hz:.2f} Hz, off by {jitter.p50:.2f} ms (median), "
-            f"{jitter.p95:.2f} ms (95 %), {jitter.max:.2f} ms (most), {jitter.late} late, {jitter.lost:.0f} ms lost"
+            f"{jitter.ticks} control ticks at {jitter.rate_hz:.2f} Hz; time error {jitter.p50:.2f} ms (median), "
+            f"{jitter.p95:.2f} ms (95 %), {jitter.max:.2f} ms (largest); {jitter.late} late, {jitter.lost:.0f} ms lost"
         )
     print_line(
         f"{count_noun(report.episodes, 'episode')} from {count_noun(report.attempts, 'attempt')} in {report.path}"

@@ -16,7 +16,11 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 # Check -> label in the report.
-_METHOD_LABELS = {"seed": "made again from its seed", "actions": "from its actions", "images": "rendered again"}
+_METHOD_LABELS = {
+    "seed": "made again from its seed",
+    "actions": "simulated from its actions",
+    "images": "rendered again",
+}
 
 # Largest difference that rounding alone explains: m, rad, or relative for numbers above 1. Another processor rounds the
 # last bit differently, and contacts amplify the difference. On an emulated processor, most of 40 episodes differed by
@@ -118,7 +122,7 @@ def _difference_text(divergence: dict[str, Any]) -> str:
     by = "" if apart is None else f", {apart:.3g} apart"
     return (
         f"{place}: {divergence['quantity']} is stored as {stored} "
-        f"and is {got} {_METHOD_LABELS[divergence['check']]}{by}"
+        f"and is {got} if {_METHOD_LABELS[divergence['check']]}{by}"
     )
 
 
@@ -143,4 +147,6 @@ def _tolerance_hint(report: dict[str, Any]) -> str:
     if unequal or report["problems"] or not report["tolerance"] < report["max_error"] <= _MAX_VERSION_DIFFERENCE:
         return ""
     flag = f"--tolerance {_MAX_VERSION_DIFFERENCE:g}"
-    return f"; if it was recorded on another kind of processor, rounding can cause this: {flag}"
+    return (
+        f"; if the dataset was recorded on another kind of processor, rounding can cause this difference: give {flag}"
+    )

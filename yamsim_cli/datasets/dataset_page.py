@@ -81,11 +81,13 @@ def group_by_code(problems: Sequence[Mapping[str, Any]]) -> list[tuple[str, list
 def _verdict_banner(summary: Mapping[str, Any]) -> Markup:
     errors, warnings = problem_counts(summary)
     if summary["errors"]:
-        return verdict_sentence(f"{errors} and {warnings}: do not train on the dataset as it is.", "error")
+        return verdict_sentence(
+            f"{errors} and {warnings}: correct the errors before you train on the dataset.", "error"
+        )
     if not summary["episodes"]:
         return verdict_sentence("The dataset has no episodes yet.", "warning")
     if summary["warnings"]:
-        return verdict_sentence(f"Complete, with {warnings} to look at.", "warning")
+        return verdict_sentence(f"Complete, with {warnings}: check the problems below.", "warning")
     return verdict_sentence("Complete: every file was opened and is valid.", "fine")
 
 
@@ -156,7 +158,7 @@ def _success_section(summary: Mapping[str, Any]) -> Markup | None:
         if rate is not None
     ]
     if rate_rows:
-        whose = "Of the episodes, and of all attempts made for them" if attempts["n"] else "Of the episodes"
+        whose = "Success rates of episodes and of all attempts" if attempts["n"] else "Success rates of episodes"
         figures.append(
             captioned_plot(
                 "Success by threshold", plots.plot_rates(rate_rows), f"{whose}; lines are {_INTERVAL_CAPTION}."
@@ -207,7 +209,7 @@ def _workspace_panel(results: CheckResults, name: str, threshold: float, *, last
     title = f"{name}, {'end' if last else 'start'}"
     frame = "world" if results.context.recorded else "the robot's base"
     picture = plot_workspace(ObjectPlaces(good, bad, failed, grid), (box.x, box.y) if box else None, frame, title)
-    known = f"{grid.hit_cell_count} of {grid.cell_count} cells hit, {grid.outside} outside the box" if grid else ""
+    known = f"{grid.hit_cell_count} of {grid.cell_count} cells used, {grid.outside} outside the box" if grid else ""
     return captioned_plot(title, picture, known or "sampling box unknown")
 
 
@@ -232,7 +234,7 @@ def _workspace_legend(results: CheckResults, threshold: float) -> Markup:
     if any(not attempt.outcome.success for attempt in results.attempts):
         entries.append(("failed", "failed attempt"))
     if results.context.sampling:
-        entries.append(("cell", "cell of 5 cm that was hit"))
+        entries.append(("cell", "cell of 5 cm with an episode"))
     return plot_legend(entries)
 
 
@@ -242,7 +244,7 @@ def _contact_sheet(strips: Sequence[FrameStrip]) -> Markup | None:
         images = [jpeg_image(data, f"{strip.episode}, picture {k + 1}") for k, data in enumerate(strip.pictures)]
         caption = html_tag("figcaption", html_tag("code", strip.episode), f"  {strip.caption}")
         shown.append(html_tag("figure", html_tag("div", images, class_="strip"), caption))
-    order = "First, middle and last frame; the episodes that ended farthest from the target come first."
+    order = "First, middle and last frame of episodes, with the largest final distance from the target first."
     return grid_section("Pictures", shown, "strips", html_tag("p", order, class_="note"))
 
 
@@ -251,15 +253,15 @@ def _details_section(summary: Mapping[str, Any]) -> Markup | None:
         ("cameras", ", ".join(f"{name} {w}x{h}" for name, (w, h) in summary["cameras"].items())),
         ("tasks", ", ".join(summary["tasks"])),
         ("grasp", ", ".join(summary["grasps"])),
-        ("frames an episode", _range_text(summary["frames_per_episode"], str)),
-        ("size of an episode", _range_text(summary["bytes_per_episode"], file_size)),
+        ("frames per episode", _range_text(summary["frames_per_episode"], str)),
+        ("size per episode", _range_text(summary["bytes_per_episode"], file_size)),
         *(
             ("versions", ", ".join(f"{name} {number}" for name, number in versions.items()))
             for versions in summary["versions"]
         ),
     ]
     cells = table_rows((name, value) for name, value in known if value)
-    return html_section("How it was made", html_tag("table", html_tag("tbody", cells))) if cells else None
+    return html_section("Settings and versions", html_tag("table", html_tag("tbody", cells))) if cells else None
 
 
 def _range_text(spread: Mapping[str, Any] | None, shown: Callable[[Any], str]) -> str:

@@ -103,7 +103,7 @@ def open_source_dataset(
     for number, directory in select_episode_directories(path, episodes, None, applied.kept if applied else None):
         episode = open_recorded_episode(directory)
         if episode.record.episode != number:
-            raise DatasetError(f"{directory / EPISODE_FILE} is that of episode {episode.record.episode}")
+            raise DatasetError(f"{directory / EPISODE_FILE} is of episode {episode.record.episode}")
         sha256 = sha256_file(directory / EPISODE_FILE)
         found.append(SourceEpisode(index, episode, sha256, decisions.get(number)))
     return SourceDataset(path, tuple(found), applied.report() if applied else None)

@@ -20,7 +20,8 @@ def leaderboard_page(reports: Sequence[Mapping[str, Any]], pairs: Sequence[Mappi
     first = reports[0]
     ranked = sorted(reports, key=lambda report: -report["stats"]["success_rate"])
     title = f"{first['task']} on {first['rig']}"
-    headings = ("policy", "success", "95 % interval", "answer, median", "answer, 95 %", "actions", "stale", "waited")
+    answers = ("answer time, median", "answer time, 95 %")
+    headings = ("policy", "success", "95 % interval", *answers, "actions", "stale actions", "time without an action")
     body = [
         html_tag("p", f"{len(first['trials'])} trials of seed {first['seed']}, grasp {first['grasp']}"),
         html_table(headings, map(_policy_row, ranked)),
@@ -52,9 +53,9 @@ def _pair_table(first: Mapping[str, Any], pairs: Sequence[Mapping[str, Any]]) ->
         [pair["policy"], *(str(pair[key]) for key in _OUTCOMES), _difference(pair), f"{pair['p_value']:.3g}"]
         for pair in pairs
     ]
-    outcomes = ("both", f"only {first['policy']}", "only the other", "neither")
-    headings = ("against", *outcomes, "difference (95 % interval)", "p (McNemar, exact)")
-    return html_section("Trial by trial", html_table(headings, cells))
+    outcomes = ("both", f"only {first['policy']}", "only the other policy", "neither")
+    headings = ("other policy", *outcomes, "difference (95 % interval)", "p (McNemar, exact)")
+    return html_section("Comparison by trial", html_table(headings, cells))
 
 
 def _instance_table(reports: Sequence[Mapping[str, Any]]) -> Markup:
@@ -71,7 +72,7 @@ def _instance_table(reports: Sequence[Mapping[str, Any]]) -> Markup:
     ]
     cells.sort(key=lambda row: row[0])
     return html_section(
-        "By instance", html_table(("instance", "policy", "success", "95 % interval", "answer, median"), cells)
+        "By instance", html_table(("instance", "policy", "success", "95 % interval", "answer time, median"), cells)
     )
 
 

@@ -66,12 +66,12 @@ def _headline_figures(report: Mapping[str, Any]) -> Markup:
     if spread := report["dxy_m"]:
         figures.append((f"{spread['median'] * 1000:.1f} mm", "median distance from the target's centre"))
     if report["recovered"]:
-        figures.append((f"{report['recovered']:,}", "of the successes tried a skill again"))
+        figures.append((f"{report['recovered']:,}", "successes in which a skill was tried again"))
     if margins := report["margins"]:
         figures += [
-            (percent(margins["velocity_share"], 0), "of a motor's speed at most"),
-            (percent(margins["torque_share"], 0), "of a drive's torque at most"),
-            (f"{margins['joint_rad']:.2f} rad", "from a joint limit at least"),
+            (percent(margins["velocity_share"], 0), "largest share of a motor's speed"),
+            (percent(margins["torque_share"], 0), "largest share of a drive's torque"),
+            (f"{margins['joint_rad']:.2f} rad", "smallest distance from a joint limit"),
         ]
     return key_figures(figures)
 
@@ -100,7 +100,7 @@ def _goal_section(trials: Sequence[Mapping[str, Any]]) -> Markup | None:
             measures.setdefault(measure["what"], []).append(measure)
     if not measures:
         return None
-    head = header_row(("", "held", "least margin where it held"))
+    head = header_row(("", "held", "smallest margin of trials in which it held"))
     cells = table_rows(_measure_row(what, found) for what, found in measures.items())
     return html_section("Goal", html_tag("table", html_tag("tbody", head, cells)))
 

@@ -275,7 +275,7 @@ def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[
     for k in range(episode.record.frames):
         data = episode.read(name := lowdim_path(k))
         if episode.is_altered(name, data):
-            problems[name] = "its content is not what was recorded: sha256 differs from episode.json"
+            problems[name] = "its content is not what was recorded: its sha256 differs from episode.json"
         frames.append(episode.decode_frame_data(k, data))
     return frames
 

@@ -89,8 +89,8 @@ def export_abc(
     reader = StationReader(source, camera_roles(source, top, single_wrist="left"), actions)
     if reader.joints != JOINTS:
         raise UsageError(
-            f"ABC's layouts are for arms with {JOINTS} joints, and rig {source.rig.name!r} has another: "
-            "export it as lerobot"
+            f"ABC's layouts are for arms with {JOINTS} joints, and rig {source.rig.name!r} has arms with "
+            f"{reader.joints}: export it as lerobot"
         )
     if TOP not in reader.roles.values():
         raise DatasetError(

@@ -125,8 +125,7 @@ def _require_reproduced_states(episode: StoredEpisode, recorded: Sequence[Mappin
             f"{name} {was[name]} then, {now[name]} now" for name in now if was.get(name, now[name]) != now[name]
         )
         raise DatasetError(
-            f"{episode.directory}: its control ticks, repeated in physics, lead {deviation[k]:.2g} m or rad away by "
-            f"frame {k}{f' ({changed})' if changed else ''}, so no frames between its frames can be made: export it "
-            "with "
-            "--fps source, and see `yamsim verify`"
+            f"{episode.directory}: simulating its control ticks again gives a state of frame {k} that is "
+            f"{deviation[k]:.2g} m or rad away from the recorded one{f' ({changed})' if changed else ''}, so no "
+            "frames between the recorded frames can be made: export it with --fps source, and see `yamsim verify`"
         )

@@ -95,7 +95,7 @@ def _page(match: StationMatch) -> str:
     ]
     headings = ("photo", "outline, px", "IoU", "arms before", "arms after", "image before", "image after")
     body: list[Markup | None] = [
-        html_section("Score: distances of colours to the photo, of 255", html_table(headings, rows)),
+        html_section("Score: colour differences between scene and photo, of 255", html_table(headings, rows)),
         *(html_section("Note", text) for text in match.notes),
     ]
     for photo in match.photos[:_MAX_SHOWN]:

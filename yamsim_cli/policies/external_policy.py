@@ -163,7 +163,8 @@ class MappedPolicy:
         if (chunking := self._config.realtime_chunking) is not None:
             if len(rows) <= chunking.length:
                 raise InvalidActionError(
-                    f"{actions.key} has {len(rows)} actions, and its first {chunking.length} repeat the plan: give more"
+                    f"{actions.key} has {len(rows)} actions; realtime_chunking needs more than {chunking.length}, "
+                    f"because the first {chunking.length} repeat the end of the previous answer"
                 )
             rows = rows[chunking.length : chunking.length + chunking.execute]
             self._plan_end = rows[-chunking.length :]
@@ -193,7 +194,7 @@ class MappedPolicy:
         if found is None and (wanted is not None or not picture.optional):
             there = ", ".join(self._station.cameras)
             raise self._mapping_error(
-                f"images.{key}", f"there is no camera {' or '.join(picture.cameras)}; there is {there}"
+                f"images.{key}", f"there is no camera {' or '.join(picture.cameras)}; valid: {there}"
             )
         return found
 

@@ -173,7 +173,10 @@ class Collector:
             self._uncertain_attempts.add(job.attempt)
             if (lost := len(self._uncertain_attempts)) >= _MAX_LOST_IN_A_ROW:
                 raise PartialJobError(f"{lost} attempts in a row lost their workers, the last one: {error}")
-            self._watch.warn(f"Attempt {job.attempt} {detail}. It will count as a failure unless others fail like it.")
+            self._watch.warn(
+                f"Attempt {job.attempt} {detail}. It counts as a failure, unless the next attempts end their workers "
+                "too."
+            )
         self._finished[job.attempt] = AttemptPayload(Attempt(job), Outcome(False, FailureCause.WORKER_LOST, detail))
 
     def _commit_attempt(self, payload: AttemptPayload) -> None:
@@ -202,14 +205,17 @@ class Collector:
 
     def _not_reproduced_error(self, payload: AttemptPayload, episode: int) -> DatasetError:
         return DatasetError(
-            f"{self._sink.path}: attempt {payload.job.attempt} is {episode_name(episode)} but fails now "
-            f"({payload.outcome.cause}): this machine or its packages differ from those that recorded it"
+            f"{self._sink.path}: attempt {payload.job.attempt} was recorded as {episode_name(episode)}, but fails now "
+            f"({payload.outcome.cause}): this machine or its packages differ from the machine of the recording"
         )
 
     def _log_restored_attempt(self, payload: AttemptPayload) -> None:
         number = missing_episode(self._sink.attempts, payload.job.attempt)
         if payload.outcome.success and number is None:  # the original attempt had lost its workers
-            detail = "its line in the ledger was lost; repeated, it succeeds, but the episodes after it do not count it"
+            detail = (
+                "its line in the ledger was lost; the repetition succeeded, but counts as a failure, because the "
+                "numbers of later episodes do not include it"
+            )
             payload = replace(payload, outcome=Outcome(False, FailureCause.WORKER_LOST, detail), files={})
         episode = number if payload.outcome.success else None
         if episode is not None:

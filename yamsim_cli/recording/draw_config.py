@@ -90,8 +90,8 @@ def _require_same_surfaces(source: SceneConfig, scene: SceneConfig) -> None:
 
     if physics_of(scene) != physics_of(source):
         raise UsageError(
-            f"--scene {scene.name}: its table or its safety_plane differs from that of scene {source.name!r}, with "
-            "which the states were recorded; give a scene with the same `table.position`, `half_size`, `contact` and "
+            f"--scene {scene.name}: its table or safety_plane differs from scene {source.name!r}, with which "
+            "the states were recorded; give a scene with the same `table.position`, `half_size`, `contact` and "
             "`safety_plane`"
         )
 

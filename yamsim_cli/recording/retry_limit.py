@@ -73,8 +73,8 @@ class RetryLimit:
         if last is None or (episodes and tried < self.max_attempts):
             return None
         if episodes:
-            rest = f"the task works too rarely, {episodes} of {tried} times and at least 1 in {_ATTEMPTS_PER_EPISODE} "
-            return RetryLimitError(f"gave up after {tried} attempts: {rest}is needed; {self._causes_text(attempts)}")
+            rest = f"only {episodes} succeeded, and at least 1 of {_ATTEMPTS_PER_EPISODE} must"
+            return RetryLimitError(f"gave up after {tried} attempts: {rest}; {self._causes_text(attempts)}")
         if tried >= MIN_ATTEMPTS:
             return self._infeasible_task_error(f"none of {tried} attempts succeeded", attempts)
         causes = {attempt.outcome.cause for attempt in attempts}
@@ -83,12 +83,15 @@ class RetryLimit:
         self._checked = True
         if not self._no_better_start(FailureCause(str(last.cause)), tried):
             return None
-        more = f"its first {tried} attempts all failed with one cause, and {CHECKED_STARTS} more have no better start"
+        more = (
+            f"its first {tried} attempts failed with the same cause, and the starts of {CHECKED_STARTS} more have the "
+            "same problem"
+        )
         return self._infeasible_task_error(more, attempts)
 
     def _infeasible_task_error(self, why: str, attempts: Sequence[AttemptRecord]) -> SimulationError:
         return SimulationError(
-            f"task {self._name!r} cannot work as it is: {why}; {self._causes_text(attempts)}; then record with "
+            f"task {self._name!r} cannot succeed: {why}; {self._causes_text(attempts)}; after a change, record with "
             "--overwrite, or to another --out"
         )
 

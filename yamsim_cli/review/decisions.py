@@ -98,14 +98,16 @@ class DecisionFile(Closable):
             raise UsageError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
         frames = open_recorded_episode(directory).record.frames if made.is_trimmed else 0
         if made.is_trimmed and not max(made.first_frame or 0, made.last_frame or 0) < frames:
-            raise UsageError(f"{episode_name(number)} has frames 0 to {frames - 1}, and cannot be trimmed like that")
+            raise UsageError(f"first_frame and last_frame of {episode_name(number)} must lie in 0..{frames - 1}")
         decisions = {**self.decisions, number: made}
         if made.is_empty:
             del decisions[number]
         try:
             write_selection(self.path, Selection(self._dataset, self._undecided, decisions))
         except OSError as error:
-            raise ResourceError(f"{self.path} cannot be written: {error.strerror}; the decision is not kept") from error
+            raise ResourceError(
+                f"{self.path} cannot be written: {error.strerror}; the decision is not stored"
+            ) from error
         self.decisions = decisions
         return None if made.is_empty else made
 

@@ -119,7 +119,11 @@ def _plot_section(
         }
         title = COLUMN_NAMES.get(each.column, each.column)
         picture = plot_curves(title, across, curves, "share of episodes", x_label=title)
-        figures.append(captioned_plot(title, picture, f"Largest distance {each.statistic:.2f}, p {each.p_holm:.2g}."))
+        figures.append(
+            captioned_plot(
+                title, picture, f"Largest difference of the curves {each.statistic:.2f}, p {each.p_holm:.2g}."
+            )
+        )
     legend = plot_legend([(None, names[0]), ("simulated", names[1])])
     return grid_section("Share of episodes below a value", figures, "columns", legend)
 

@@ -41,7 +41,7 @@ COLUMN_NAMES = {
     "path_rad": "path of all joints, rad",
     "gap_mrad": "gap to simulation, mrad",
     "problems": "problems",
-    "look": "deserves a look",
+    "look": "review priority",
 }
 
 

@@ -259,7 +259,7 @@ class _Handler(BaseHTTPRequestHandler):
                 self._send_json(200, {})
             elif self.path in ("/api/decide", "/api/scene"):
                 if not self.server.claim.holds(token):
-                    self._send_json(409, {"error": "another page is open; only one page may decide"})
+                    self._send_json(409, {"error": "another page is open, and only one page can decide"})
                 elif self.path == "/api/decide":
                     self._send_json(200, self.server.decide(body))
                 else:
@@ -274,7 +274,7 @@ class _Handler(BaseHTTPRequestHandler):
         reason = refusal_reason(hosts, origins, LOOPBACK)
         # A browser names the site of a request for a picture or a script only here.
         if reason is None and self.headers.get("Sec-Fetch-Site", "none") not in ("same-origin", "none"):
-            reason = "another site asked for this"
+            reason = "the request comes from another site"
         if reason is not None:
             self.close_connection = True
             self._send_json(403, {"error": f"refused: {reason}"})

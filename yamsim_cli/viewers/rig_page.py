@@ -48,7 +48,9 @@ class RigPage(ScenePage):
         super().__init__(live, viewpoint, address)
         self._live = live
         self._measured = (time.monotonic(), live.simulated_seconds)
-        home = self._server.gui.add_button("Home", icon=viser.Icon.HOME, hint="Arms back to rest, grippers shut")
+        home = self._server.gui.add_button(
+            "Home", icon=viser.Icon.HOME, hint="Move the arms home, and close the grippers"
+        )
         home.on_click(self._go_home)
         self.sliders = self._add_sliders()
         self.margin = self._add_margin()

@@ -105,8 +105,8 @@ def _disconnection_notice(beat: int) -> str:
     across = "position: fixed; bottom: 0; left: 0; width: 100vw; z-index: 10000; font-size: 1.3em; text-align: center"
     return (
         f"<style>@keyframes {name} {{ to {{ visibility: visible; max-height: 8em; padding: 0.7em }} }}</style>"
-        f'<div style="{shown}">Disconnected: nothing below is up to date.</div>'
-        f'<div style="{shown}; {across}">Disconnected: the server is gone, and nothing is recorded.</div>'
+        f'<div style="{shown}">Disconnected: this page is no longer updated.</div>'
+        f'<div style="{shown}; {across}">Disconnected: the server has ended, and nothing is recorded.</div>'
     )
 
 

@@ -94,7 +94,7 @@ class TeleopPage(ScenePage):
             self._add_key("Magnet on or off", "M", self._toggle_weld)
         self._add_key("Open or close the gripper", "G", self._arm.toggle_gripper)
         self._add_button(
-            "Point down", self._point_down, icon=viser.Icon.ARROW_DOWN, hint="The hand upright over the table"
+            "Point down", self._point_down, icon=viser.Icon.ARROW_DOWN, hint="Point the hand down at the table"
         )
         self._add_key("Point the hand down", "N", self._point_down)
         self._fields = TargetFields(self._server.gui)
@@ -184,7 +184,7 @@ def _reach_notice(status: TeleopStatus) -> str:
     if status.target_distance:
         reasons.append(f"the target is {status.target_distance * 100:.1f} cm out of reach")
     if status.at_limit:
-        reasons.append(f"{', '.join(status.at_limit)} at its stop")
+        reasons.append(f"{', '.join(status.at_limit)} at its joint limit")
     held = ", and holds the object" if status.is_weld_holding else ""
     text = "; ".join(reasons) or f"the hand follows{held}"
     red, green, blue = _RED if reasons else _GREEN

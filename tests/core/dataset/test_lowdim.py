@@ -322,5 +322,5 @@ def test_without_simulation_data_in_every_frame_there_are_no_actions():
 
 
 def test_an_episode_of_another_scene_is_refused():
-    with pytest.raises(DatasetError, match="frame 0 has 22 positions and 7 drives, but its scene 44 and 14"):
+    with pytest.raises(DatasetError, match="frame 0 has 22 positions and 7 drives, but its scene has 44 and 14"):
         recorded_actions([simulated()], 44, 14)

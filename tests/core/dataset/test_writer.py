@@ -304,11 +304,14 @@ def test_other_lines_stay_the_bytes_that_they_were(with_failures):
     [
         (lambda lines: lines.insert(2, lines[1]), "line 3: attempt 1 is listed twice"),
         (lambda lines: lines.__setitem__(1, to_json(failed_attempt(4))), "line 5: attempt 4 is listed twice"),
-        (lambda lines: lines.__setitem__(4, to_json(failed_attempt(99))), "attempt 99 is there, and 6 is not"),
+        (
+            lambda lines: lines.__setitem__(4, to_json(failed_attempt(99))),
+            "attempt 99 is listed, but attempt 6 is missing",
+        ),
         (lambda lines: lines.__setitem__(4, to_json(failed_attempt(-4))), "line 5: attempt: -4 is not the number"),
         (
             lambda lines: lines.__setitem__(3, to_json(made(2, 93).attempt)),
-            "attempt 93 is listed as ep_000002, but that is attempt 3",
+            "attempt 93 is listed as ep_000002, but ep_000002 is attempt 3",
         ),
     ],
 )
@@ -331,7 +334,7 @@ def test_lines_out_of_order_are_put_into_order(with_failures):
 def test_a_ledger_that_contradicts_an_episode_is_not_resumed(with_failures):
     damage(with_failures, lambda lines: lines.__setitem__(2, to_json(failed_attempt(2))))
     before = tree(with_failures)
-    with pytest.raises(DatasetError, match=r"ep_000001 is attempt 2, which attempts\.jsonl contradicts"):
+    with pytest.raises(DatasetError, match=r"ep_000001 is attempt 2, but attempts\.jsonl lists another episode"):
         resume(with_failures)
     assert tree(with_failures) == before
 
@@ -416,7 +419,7 @@ def alter(path: Path) -> None:
         ("episode.json", lambda path: path.write_bytes(b""), "episode.json: "),
         ("episode.json", lambda path: path.write_bytes(b"{"), "episode.json: "),
         ("episode.json", lambda path: path.write_bytes(b"\xff"), "episode.json: "),
-        ("episode.json", lambda path: path.write_bytes(to_json(made(2).record)), "episode.json is that of episode 2"),
+        ("episode.json", lambda path: path.write_bytes(to_json(made(2).record)), "episode.json is of episode 2"),
         ("episode.json", Path.unlink, "episode.json is missing"),
         ("rgb/scene_camera/000003.jpg", truncate, "rgb/scene_camera/000003.jpg is not what was recorded"),
         ("rgb/scene_camera/000003.jpg", alter, "rgb/scene_camera/000003.jpg is not what was recorded"),

@@ -176,7 +176,7 @@ IN_FRAME, IN_IMAGE, PX = f"{EP}/{FRAME}", f"{EP}/{IMAGE}", f"rgb/{CAMERA}"
 # Code, damage to the sample before it is written, place and text of the only problem.
 DAMAGED_SAMPLES: list[tuple[str, Callable[[SampleDataset], object], str, str]] = [
     ("dataset.mixed", over(versions={"numpy": "2.1"}), "dataset", "numpy: 2 x 2.0; 1 x 2.1"),
-    ("dataset.mixed", over(meshes={"ycb": "primitives"}), "dataset", "meshes ycb: 2 x not told; 1 x primitives"),
+    ("dataset.mixed", over(meshes={"ycb": "primitives"}), "dataset", "meshes ycb: 2 x not recorded; 1 x primitives"),
     ("dataset.mixed", some_meshes, "dataset", "meshes ycb: 2 x reduced 012345678901; 1 x primitives"),
     ("dataset.mixed", over(rig="mine"), "dataset", "rig: 2 x single; 1 x mine"),
     ("episode.duplicate", copy_of_the_first, EP, "every value equals that of ep_000000"),

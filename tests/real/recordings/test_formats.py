@@ -214,7 +214,9 @@ def test_episodes_with_fewer_rows_than_they_say(
     folder = write(tmp_path / "one", swinging(station, 0.3), station)
     (file,) = (folder / "data").glob("**/*.parquet")
     pyarrow.parquet.write_table(pyarrow.parquet.read_table(file).slice(0, 20), file)
-    with pytest.raises(DatasetError, match=r"episode 0: has 20 rows, and meta/ says 30: was it cut off"):
+    with pytest.raises(
+        DatasetError, match=r"episode 0: has 20 rows, and meta/ says 30; it was probably cut off: copy it again"
+    ):
         only(folder, station, locations)
 
 

@@ -175,13 +175,13 @@ def _head(**told: Any) -> bytes:
 @pytest.mark.parametrize(
     ("answer", "says"),
     [
-        ((2**32 - 1).to_bytes(4, "little"), "is not a serve-robot"),
-        (said(b"[1"), "does not answer as it should"),
-        (said([1]), "is not a serve-robot"),
-        (said({"bytes": 2**40}), "is not a serve-robot"),
-        (_head(bytes=3, width=1, height=1) + b"abc", "another size"),
-        (_head(bytes=144, number="x") + bytes(144), "of this version"),
-        (_head(bytes=144, T_cam_in_base=[1]) + bytes(144), "of this version"),
+        ((2**32 - 1).to_bytes(4, "little"), "this server is not `yamsim serve-robot`$"),
+        (said(b"[1"), "its answer is not valid"),
+        (said([1]), "this server is not `yamsim serve-robot`$"),
+        (said({"bytes": 2**40}), "this server is not `yamsim serve-robot`$"),
+        (_head(bytes=3, width=1, height=1) + b"abc", "the size of its pictures has changed"),
+        (_head(bytes=144, number="x") + bytes(144), "is another version of it"),
+        (_head(bytes=144, T_cam_in_base=[1]) + bytes(144), "is another version of it"),
         (said({"bytes": 10}) + b"abc", "has ended"),
     ],
 )

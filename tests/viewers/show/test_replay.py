@@ -142,7 +142,7 @@ def test_a_video_is_made_though_its_actions_lead_elsewhere_and_it_says_so(datase
     (dataset / "config.yaml").unlink()
     run = yamsim("replay", dataset / "ep_000001", "--video", tmp_path / "b.mp4", "--json")
     assert (run.code, run.json["max_error"]) == (0, None)
-    assert "Its actions were not repeated: " in run.err
+    assert "Its actions were not simulated again: " in run.err
 
 
 @pytest.mark.parametrize(

@@ -143,7 +143,7 @@ def test_a_recording_is_paused_when_its_page_is_closed(
     before = driven.status.seconds
     run(driven, 1.0)
     assert driven.status.seconds == before
-    assert driven.status.message == "paused, because no browser was connected: Play continues"
+    assert driven.status.message == "paused, because no browser was connected; click Play to continue"
     driven.paused = False
     run(driven, 0.32)
     assert driven.status.seconds > before
@@ -180,7 +180,7 @@ def test_a_killed_session_is_judged_on_resume(
     nothing = write_stream(tmp_path / "nothing.jsonl", [{"t": 0.0}])
     done = yamsim("teleop", "--input", str(nothing), "--out", str(out), "--resume", "--json", *flags)
     assert done.code == 0, done.err
-    assert "was left by a session that was killed" in done.err
+    assert "A killed session left attempt " in done.err
     assert json.loads(done.out)["episodes"] == 1
     assert not (out / ".recordings").exists()
     verified = yamsim("verify", str(out), "--json")

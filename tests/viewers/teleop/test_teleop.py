@@ -148,7 +148,7 @@ def test_the_magnet_holds_only_what_the_hand_is_at(driven: TeleopScene) -> None:
     run(driven, 0.1)
     assert not driven.status.is_weld_holding
     assert not driven.status.magnet
-    assert driven.message == "the magnet found nothing within its reach"
+    assert driven.message == "no object is within reach of the magnet"
 
 
 def test_a_recording_begins_where_its_attempt_does_whatever_was_done_before(driven: TeleopScene) -> None:
@@ -180,7 +180,7 @@ def test_discarded_comes_again_and_stopped_comes_next(driven: TeleopScene, tray:
     assert not np.allclose(banana(), first)
     driven.stop_recording()
     assert len(tray.attempts) == 1
-    assert driven.message == "nothing was being recorded"
+    assert driven.message == "no recording was in progress"
 
 
 def test_a_stop_lets_go_and_waits_whatever_is_asked_meanwhile(
@@ -476,7 +476,7 @@ def test_a_damaged_ledger_line_loses_its_attempt_alone(
     assert said[0].startswith("attempts.jsonl was damaged (line 1: ")
     assert said[1:] == [
         "the line of attempt 0 in attempts.jsonl is lost",
-        *["ep_000000 is gone, and a demonstration cannot be made again."] * 2,
+        *["ep_000000 is missing, and a teleoperated episode cannot be recorded again."] * 2,
     ]
     assert [attempt.outcome.cause for attempt in Ledger(out).known_attempts.values()] == [
         "line_lost",

@@ -179,7 +179,8 @@ class ArmConfig(Config):
         if isinstance(gripper, dict) and data.get("wrist_camera") is None:
             if gripper.get("wrist_camera") is None:
                 raise ConflictError(
-                    f"the gripper {gripper.get('name')} has none; give it in its gripper.yaml, or for the arm in a rig",
+                    f"the gripper {gripper.get('name')} has no wrist_camera; add one to its gripper.yaml, or to the "
+                    "arm in the rig",
                     ("wrist_camera",),
                 )
             return {**data, "wrist_camera": gripper["wrist_camera"]}

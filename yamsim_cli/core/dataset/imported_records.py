@@ -88,7 +88,8 @@ def read_dataset_config(model: type[C], dataset: Path, locations: Locations) -> 
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
         raise DatasetError(
-            f"{file} cannot be read ({reason}): without it nothing of the dataset can be simulated again"
+            f"{file} cannot be read ({reason}): without it, the dataset cannot be simulated again; restore it from a "
+            "copy"
         ) from error
     try:
         return parse_config(model, text, str(file), locations, upgrade=upgrade_config)

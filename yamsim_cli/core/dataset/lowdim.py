@@ -233,7 +233,7 @@ def simulation_faults(frame: Mapping[str, Any]) -> list[str]:
             found = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
             faults.append(f"{key} is {found}, not {np.dtype(dtype)} with {dimensions} dimensions")
         elif key == "sim_magnet" and value.shape[1:] != of_arms:
-            faults.append(f"{key} is {value.shape}, and magnet {of_arms}")
+            faults.append(f"{key} has the shape {value.shape}, which does not fit magnet, {of_arms}")
         elif not (np.abs(value) < _MAX_SIM_VALUE).all():
             faults.append(f"{key} has values that are not finite, or beyond {_MAX_SIM_VALUE:g} m or rad")
     if not faults and len(frame["sim_ctrl"]) != len(frame["sim_magnet"]):
@@ -261,8 +261,8 @@ def recorded_actions(frames: Sequence[Mapping[str, Any]], nq: int, nu: int) -> t
         found = len(frame["sim_qpos"]), frame["sim_ctrl"].shape[1]
         if found != (nq, nu):
             raise DatasetError(
-                f"frame {k} has {found[0]} positions and {found[1]} drives, but its scene {nq} and {nu}: "
-                "the episode was made with another robot model or scene than its dataset says"
+                f"frame {k} has {found[0]} positions and {found[1]} drives, but its scene has {nq} and {nu}: "
+                "the robot model or scene of the episode differs from the dataset's config"
             )
     counts = [len(frame["sim_ctrl"]) for frame in frames]
     magnet = np.concatenate([frame["sim_magnet"] for frame in frames])

@@ -65,7 +65,7 @@ class RecordedEpisode:
         data = self.read(name)
         if self.is_altered(name, data):
             raise DatasetError(
-                f"{self.directory / name} is not what was recorded: its sha256 differs from that in {EPISODE_FILE}; "
+                f"{self.directory / name} is not what was recorded: its sha256 is not the one in {EPISODE_FILE}; "
                 "copy the episode again, or record it again"
             )
         return data

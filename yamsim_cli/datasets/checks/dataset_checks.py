@@ -120,7 +120,9 @@ def _report_mixed_settings(episodes: Sequence[EpisodeFacts], problems: ProblemCo
     drawn = [record.meshes for record in records]
     for name in sorted({name for meshes in drawn if meshes for name in meshes}):
         _report_differing_settings(
-            f"meshes {name}", ("not told" if m is None else describe_mesh_content(m.get(name)) for m in drawn), problems
+            f"meshes {name}",
+            ("not recorded" if m is None else describe_mesh_content(m.get(name)) for m in drawn),
+            problems,
         )
     for package in sorted({package for record in records for package in record.versions}):
         _report_differing_settings(package, (record.versions.get(package, "none") for record in records), problems)

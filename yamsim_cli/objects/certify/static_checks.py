@@ -128,13 +128,16 @@ def check_inertia(tested_object: TestedObject) -> CheckOutcome:
         )
     if (moments > most).any():
         axis = int((moments / most).argmax())
-        note = f"{moments[axis]:.3g} kg m2 is more than {most[axis]:.3g}, that of its whole mass at its farthest point"
+        note = (
+            f"{moments[axis]:.3g} kg m2 is more than {most[axis]:.3g}, the moment if all mass were at its farthest "
+            "point"
+        )
         return CheckOutcome(False, figures, note, views)
     if (moments < _MIN_BOX_SHARE * filled).any():
         axis = int((moments / filled).argmin())
         note = (
-            f"{moments[axis]:.3g} kg m2 is less than {_MIN_BOX_SHARE:.0%} of {filled[axis]:.3g}, that of its mass "
-            "spread evenly over its bounding box"
+            f"{moments[axis]:.3g} kg m2 is less than {_MIN_BOX_SHARE:.0%} of {filled[axis]:.3g}, the moment "
+            "if its mass filled its bounding box evenly"
         )
         return CheckOutcome(False, figures, note, views)
     return CheckOutcome(True, figures, views=views)

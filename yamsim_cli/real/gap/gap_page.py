@@ -90,9 +90,9 @@ def _key_figures_section(report: Mapping[str, Any]) -> Markup:
         (f"{hand['rms_mm']:.3g} mm", f"RMS of the {_row_name(hand, 'hand')}"),
     ]
     if delays := [joint["delay_s"] for joint in report["joints"] if joint["delay_s"] is not None]:
-        figures.append((f"{np.median(delays) * 1000:.1f} ms", "delay beyond the simulation, median of the joints"))
+        figures.append((f"{np.median(delays) * 1000:.1f} ms", "delay relative to the simulation, median of the joints"))
     figures += [
-        (f"{abs(worst['error_rad']) * 1000:.3g} mrad", f"worst: {_row_name(worst, worst['joint'])}"),
+        (f"{abs(worst['error_rad']) * 1000:.3g} mrad", f"largest error: {_row_name(worst, worst['joint'])}"),
         (f"{report['seconds']:.0f} s", "compared"),
     ]
     return key_figures(figures)
@@ -113,9 +113,9 @@ def _joints_section(rows: Sequence[Mapping[str, Any]]) -> Markup:
         for row in rows
     ]
     note = (
-        "mrad and ms. Delay, sag and overshoot are those beyond the simulation's: a positive delay means that the "
-        "recorded arm is later than the simulated one. Sag is the mean error at rest. In brackets: 95 % intervals of "
-        "means over the recordings."
+        "Errors are in mrad. Delay, sag and overshoot are relative to the simulation: if the delay is positive, the "
+        "recorded arm is later than the simulated arm. Sag is the mean error at rest. In brackets: 95 % intervals of "
+        "the means over the recordings."
     )
     return html_section("By joint", html_tag("p", note, class_="note"), _scrollable_table(heads, cells))
 
@@ -158,8 +158,8 @@ def _joint_plots_section(joints: Sequence[JointCurves], worst: Mapping[str, Any]
             captioned_plot(title, error_plot, f"Largest error {np.nanmax(np.abs(error)):.3g} mrad."),
         ]
     where = (
-        f"The worst error is at {worst['time_s']:.3f} s, frame {worst['frame']} of {worst['recording']}: "
-        f"{_row_name(worst, worst['joint'])} is {worst['error_rad'] * 1000:.3g} mrad from its simulation."
+        f"The largest error is at {worst['time_s']:.3f} s, frame {worst['frame']} of {worst['recording']}: "
+        f"{_row_name(worst, worst['joint'])} is {worst['error_rad'] * 1000:.3g} mrad from the simulated joint."
     )
     entries = [("commanded", "commanded"), (None, "measured"), ("simulated", "simulated")]
     return html_section(
@@ -190,9 +190,13 @@ def _pictures_section(figures: Mapping[str, Any] | None, pictures: Sequence[Capt
     if without := figures["without_pose"]:
         sentences.append(f"{without} were left out, because the pose of their camera is not known.")
     for key, what, unit in (
-        ("outline_px", "Outline to the photo's edges", "px"),
-        ("measured_outline_px", "The same for the arm at its measured joints, without a gap", "px"),
-        ("iou", "Overlap with the arm at its measured joints", ""),
+        ("outline_px", "Distance of the arm's outline from the photo's edges", "px"),
+        (
+            "measured_outline_px",
+            "The same distance for the arm at its measured joints, which does not include the gap",
+            "px",
+        ),
+        ("iou", "Overlap (IoU) of the arm at its simulated and at its measured joints", ""),
     ):
         if (found := figures[key]) is not None:
             sentences.append(f"{what}: {found['mean']:.3g} {unit} on average, {found['worst']:.3g} at worst.")

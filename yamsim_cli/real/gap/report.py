@@ -72,8 +72,8 @@ def require_gap_below(report: Mapping[str, Any], max_mrad: float | None) -> None
         worst = max(above, key=lambda joint: joint["rms_rad"])
         more = f" (and {len(above) - 1} more)" if len(above) > 1 else ""
         raise SimulationError(
-            f"{joint_display_name(worst)} is off by {worst['rms_rad'] * 1000:.3g} mrad RMS{more}: --fail-above asks "
-            f"for at most {max_mrad:g}"
+            f"the error of {joint_display_name(worst)} is {worst['rms_rad'] * 1000:.3g} mrad RMS{more}, more than "
+            f"--fail-above {max_mrad:g}"
         )
 
 

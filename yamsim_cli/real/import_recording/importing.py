@@ -253,7 +253,7 @@ def _mirror_openings(arm: ArmMotion, full: float, which: str) -> ArmMotion:
 def _dataset_config(request: ImportRequest, read: Sequence[tuple[str, Recording]]) -> RealConfig:
     kinds = {(name, recording.gripper) for name, recording in read}
     if not kinds:
-        raise DatasetError("there is no recording to import")
+        raise DatasetError("no recording was found to import; give files or folders with recordings")
     if len(kinds) > 1:
         raise DatasetError(
             f"the recordings are of several kinds ({', '.join(sorted({name for name, _ in kinds}))}, grippers in "
@@ -267,7 +267,7 @@ def _require_same_config(out: Path, config: RealConfig, locations: Locations) ->
     existing = read_imported_config(out, locations)
     for key in ("rig", "imported", "gripper"):
         if getattr(existing, key) != getattr(config, key):
-            raise ConfigError(f"{out / CONFIG_FILE}: {key} differs from that of the recordings; choose another --out")
+            raise ConfigError(f"{out / CONFIG_FILE}: {key} differs from the recordings; choose another --out")
 
 
 def _publish_episode(

@@ -85,7 +85,7 @@ def _read_rows(folder: Path, metadata: Mapping[str, Any]) -> Array:
     if rest or count < 2 or stated != count:
         raise DatasetError(
             f"{file}: has {len(values)} numbers, {count} rows of {_ROW_WIDTH} and {rest} more, and {_METADATA} says "
-            f"{stated} rows; a motion needs at least two; was it copied whole?"
+            f"{stated} rows; a motion needs at least two; copy it again"
         )
     if not np.isfinite(values).all():
         at = int(np.argwhere(~np.isfinite(values))[0, 0]) // _ROW_WIDTH

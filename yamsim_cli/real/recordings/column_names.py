@@ -52,8 +52,8 @@ def find_naming(
         if names.arms and _first_missing_column(names, columns, rig) is None:
             return names
     raise DatasetError(
-        f"{source}: its columns are {', '.join(columns)}, and no naming in configs/{CONFIG_KIND}/ fits those and rig "
-        f"{rig.name!r}; name each arm's columns with --mapping names.yaml, or give another --rig"
+        f"{source}: its columns are {', '.join(columns)}, and no config in configs/{CONFIG_KIND}/ fits these columns "
+        f"and rig {rig.name!r}; name each arm's columns in a file for --mapping, or give another --rig"
     )
 
 

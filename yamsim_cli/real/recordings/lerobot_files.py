@@ -213,7 +213,10 @@ def read_lerobot(path: Path, rig: RigConfig, mapping: str | None, locations: Loc
     for number, table in _read_episodes(path):
         row, count = rows.get(number, {}), len(table["episode_index"])
         if (stated := row.get("length")) is not None and stated != count:
-            raise DatasetError(f"{path} episode {number}: has {count} rows, and meta/ says {stated}: was it cut off?")
+            raise DatasetError(
+                f"{path} episode {number}: has {count} rows, and meta/ says {stated}; it was probably cut off: copy "
+                "it again, or leave it out"
+            )
         recordings.append(_read_recording(dataset, number, table, tasks, row if version.startswith("v3") else None))
     if not recordings:
         raise DatasetError(f"{path}/data: contains no episode")
@@ -302,7 +305,7 @@ def _read_parquet_table(file: Path) -> dict[str, Any]:
     try:
         return {str(key): values for key, values in pyarrow.parquet.read_table(file).to_pydict().items()}
     except (OSError, pyarrow.ArrowException) as error:
-        raise DatasetError(f"{file} cannot be read: {error}; was it copied whole?") from error
+        raise DatasetError(f"{file} cannot be read: {error}; copy it again") from error
 
 
 def _read_tasks(path: Path) -> dict[int, str]:
@@ -360,5 +363,5 @@ def _row_jpegs(rows: Sequence[Any], source: str) -> Iterator[bytes]:
         data = row.get("bytes") if isinstance(row, dict) else None
         image = decode_image(data) if isinstance(data, bytes) else None
         if image is None or not isinstance(data, bytes):
-            raise DatasetError(f"{source}: row {k} has no complete image; was it copied whole?")
+            raise DatasetError(f"{source}: row {k} has no complete image; copy it again")
         yield data if data.startswith(_JPEG_START) else encode_jpeg(image, JPEG_QUALITY)

@@ -114,7 +114,8 @@ def _load_rows(file: Path, width: int, count: int | None = None) -> Array:
     if rows.ndim != 2 or rows.shape[1] != width or (count is not None and len(rows) != count):
         wanted = f"({'n' if count is None else count}, {width})"
         raise DatasetError(
-            f"{file}: has the shape {rows.shape}; valid: {wanted}; was it cut off, or give another --rig"
+            f"{file}: has the shape {rows.shape}; valid: {wanted}; copy the file again if it was cut off, or give "
+            "another --rig"
         )
     return rows
 
@@ -126,7 +127,7 @@ def _load_array(file: Path) -> Array:
     except OSError as error:
         raise DatasetError(f"{file} cannot be read: {error.strerror or error}") from error
     except (ValueError, EOFError) as error:
-        raise DatasetError(f"{file} is not a valid array file: {error}; was it copied whole?") from error
+        raise DatasetError(f"{file} is not a valid array file: {error}; copy it again") from error
     if values.dtype.kind not in "fiu":
         raise DatasetError(f"{file}: has the type {values.dtype}; valid: numbers")
     numbers = values.astype(np.float64)
@@ -154,7 +155,10 @@ def _camera_times(folder: Path, role: str, ticks: int) -> Array:
     file = folder / f"{role}-timestamp.npy"
     stamps = _load_array(file)
     if stamps.shape != (ticks,):
-        raise DatasetError(f"{file}: has the shape {stamps.shape}; valid: ({ticks},); was it cut off?")
+        raise DatasetError(
+            f"{file}: has the shape {stamps.shape}; valid: ({ticks},); it was probably cut off: copy it again, or "
+            "leave it out"
+        )
     return stamps * _S_PER_MS
 
 

@@ -61,7 +61,7 @@ def _read_file(path: Path, rig: RigConfig, mapping: str | None, locations: Locat
     with _OpenedMcap(path) as reader:
         summary = reader.get_summary()
         if summary is None:
-            raise DatasetError(f"{path}: has no summary: was it cut off? run `mcap recover`")
+            raise DatasetError(f"{path}: has no summary, so it was probably cut off: run `mcap recover`")
         topics = [channel.topic for channel in summary.channels.values()]
     names = _matching_naming(topics, rig, mapping, path, locations)
     rows: dict[str, TopicRows] = {
@@ -128,8 +128,8 @@ def _matching_naming(
     error = ConfigError if mapping else DatasetError
     raise error(
         f"{path}: its topics are {', '.join(topics) or 'none'}, and "
-        + (f"--mapping {mapping}" if mapping else f"no naming in configs/{CONFIG_KIND}/")
-        + f" does not name the states of rig {rig.name!r} among them; give --mapping names.yaml or another --rig"
+        + (f"--mapping {mapping}" if mapping else f"no config in configs/{CONFIG_KIND}/")
+        + f" names the states of rig {rig.name!r} among them; give a file for --mapping, or another --rig"
     )
 
 
@@ -140,7 +140,8 @@ def _last_values(rows: TopicRows, stamps: SampleIndices, width: int, source: str
     when = np.array([time for time, _ in rows], dtype=np.int64)
     if when[0] - stamps[0] > _MAX_START_DELAY * 1e9:
         raise DatasetError(
-            f"{source}: begins {(when[0] - stamps[0]) * 1e-9:.1f} s after the arm's state; was it cut off?"
+            f"{source}: begins {(when[0] - stamps[0]) * 1e-9:.1f} s after the arm's state; it was probably cut off: "
+            "copy it again, or leave it out"
         )
     short = next((k for k, (_, values) in enumerate(rows) if len(values) < width), None)
     if short is not None:
@@ -212,7 +213,7 @@ class _OpenedMcap:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         self._file.close()
         if kind is not None and kind.__module__.split(".")[0] in ("mcap", "google", "mcap_protobuf"):
-            raise DatasetError(f"{self._path}: is damaged: {error}; was it copied whole?") from error
+            raise DatasetError(f"{self._path}: is damaged: {error}; copy it again") from error
 
 
 class _JsonDecoders:

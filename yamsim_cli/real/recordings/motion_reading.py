@@ -96,7 +96,7 @@ def read_motions(
             read = format_reader(detect_format(path))
             motions += [recording.motion_in_metres(rig) for recording in read(path, rig, mapping, locations)]
     if not motions:
-        raise UsageError("no recording holds a motion; give a .csv, an episode's directory, or a dataset's")
+        raise UsageError("no recording contains a motion; give a .csv, or the directory of an episode or of a dataset")
     return motions
 
 

@@ -68,7 +68,7 @@ def read_raiden_raw(path: Path, rig: RigConfig) -> list[Recording]:
                 raise DatasetError(f"{file}: holds more than {_MAX_RAW_BYTES / 1e9:.1f} GB, too much for one task")
             arrays = {name: data[name] for name in data.files if name == "timestamps" or name.startswith("follower_")}
     except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
-        raise DatasetError(f"{file} cannot be read: {error}; was it copied whole?") from error
+        raise DatasetError(f"{file} cannot be read: {error}; copy it again") from error
     if "timestamps" not in arrays:
         raise DatasetError(
             f"{file}: has no timestamps; it has {', '.join(sorted(arrays)) or 'nothing'}: raiden writes timestamps"
@@ -104,7 +104,10 @@ def _raw_rows(arrays: Mapping[str, NDArray[np.generic]], key: str, shape: tuple[
         raise DatasetError(f"{file}: has no {key}; it holds {', '.join(sorted(arrays))}; give a --rig with its arms")
     rows = np.asarray(arrays[key], dtype=np.float64)
     if rows.shape != shape:
-        raise DatasetError(f"{file}: {key} has the shape {rows.shape}; valid: {shape}; was it cut off?")
+        raise DatasetError(
+            f"{file}: {key} has the shape {rows.shape}; valid: {shape}; it was probably cut off: copy it again, or "
+            "leave it out"
+        )
     if not np.isfinite(rows).all():
         at = int(np.argwhere(~np.isfinite(rows))[0, 0])
         raise DatasetError(f"{file}: {key} is not finite at sample {at}; remove the sample")
@@ -122,7 +125,7 @@ def read_lowdim(path: Path, rig: RigConfig) -> list[Recording]:
     )
     if not folders:
         raise DatasetError(
-            f"{path}: contains no lowdim/, nor does a folder in it; give an episode or a folder of episodes"
+            f"{path}: neither this folder nor a folder in it contains lowdim/; give an episode or a folder of episodes"
         )
     return [_lowdim_recording(folder, rig) for folder in folders]
 
@@ -213,7 +216,10 @@ def _camera_files(folder: Path, frames: int) -> dict[str, list[Path]]:
     for camera in sorted((folder / "rgb").iterdir()) if (folder / "rgb").is_dir() else []:
         files = _numbered_files(camera, _PICTURE_SUFFIXES) if camera.is_dir() else []
         if files and len(files) != frames:
-            raise DatasetError(f"{camera}: has {len(files)} images, and lowdim/ has {frames} frames; was it cut off?")
+            raise DatasetError(
+                f"{camera}: has {len(files)} images, and lowdim/ has {frames} frames; it was probably cut off: copy "
+                "it again, or leave it out"
+            )
         if files:
             found[camera.name] = files
     return found
@@ -233,7 +239,8 @@ def _frame_times(folder: Path, frames: Sequence[dict[str, Any]], cameras: Mappin
             raise DatasetError(f"{file} cannot be read: {error}") from error
         if len(stamps) != len(frames):
             raise DatasetError(
-                f"{file}: has {len(stamps)} times, and lowdim/ has {len(frames)} frames; was it cut off?"
+                f"{file}: has {len(stamps)} times, and lowdim/ has {len(frames)} frames; it was probably cut off: "
+                "copy it again, or leave it out"
             )
         return times_from_nanoseconds(stamps, str(file))
     raise DatasetError(f"{folder}: has no times, neither `timestamp` in lowdim/ nor rgb/<camera>/{_TIMESTAMPS_FILE}")

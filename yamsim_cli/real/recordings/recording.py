@@ -117,9 +117,9 @@ def read_json_object(file: Path) -> dict[str, Any]:
     try:
         content = json.loads(file.read_bytes())
     except OSError as error:
-        raise DatasetError(f"{file} cannot be read: {error.strerror or error}; was it copied whole?") from error
+        raise DatasetError(f"{file} cannot be read: {error.strerror or error}; copy it again") from error
     except ValueError as error:
-        raise DatasetError(f"{file} is not valid JSON: {error}; was it copied whole?") from error
+        raise DatasetError(f"{file} is not valid JSON: {error}; copy it again") from error
     if not isinstance(content, dict):
         raise DatasetError(f"{file}: is {str(content)[:60]!r}; valid: a JSON object")
     return content
@@ -142,7 +142,7 @@ def video_jpegs(film: Path, count: int, part: int = 0, parts: int = 1) -> Iterat
         yield encode_jpeg(np.ascontiguousarray(image[part * height : (part + 1) * height]), JPEG_QUALITY)
     if found != count:
         more = "more than " if found > count else ""
-        raise DatasetError(f"{film}: has {more}{min(found, count)} images for {count} samples: was it copied whole?")
+        raise DatasetError(f"{film}: has {more}{min(found, count)} images for {count} samples; copy it again")
 
 
 def times_from_nanoseconds(stamps: ArrayLike, source: str) -> Array:

@@ -92,7 +92,7 @@ class CameraServer(UnixServer):
                 client, {"cameras": {name: {**form, "K": source.K[name].ravel().tolist()} for name in source.cameras}}
             )
         elif kind != "picture" or type(after) is not int:
-            _queue_message(client, {"error": "ask for cameras, or for a picture with its camera and the number after"})
+            _queue_message(client, {"error": "a request asks for cameras, or for a picture with camera and after"})
         elif camera not in source.cameras:
             _queue_message(client, {"error": f"there is no camera {camera!r:.80}; valid: {', '.join(source.cameras)}"})
         else:

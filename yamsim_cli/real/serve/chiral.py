@@ -190,7 +190,7 @@ class ChiralServer(TcpServer):
 
     def _end_connection(self, client: ClientConnection) -> None:
         if self._connections.pop(client).has_sent_action and not self._robot.stop_reason:
-            self._robot.stop("the program that drove the arms has gone; reset to go on")
+            self._robot.stop("the program that drove the arms has disconnected; reset to continue")
 
 
 def read_message(message: bytes) -> tuple[str, Array | None]:

@@ -95,7 +95,9 @@ def pose_from_rotation_rows(position: Array, rows: Array) -> Array:
     lengths = np.linalg.norm(first), np.linalg.norm(second)
     third = np.cross(first, second)
     if min(lengths) < _MIN_ROW_LENGTH or np.linalg.norm(third) < _MIN_ROW_LENGTH * lengths[0] * lengths[1]:
-        raise ValueError("the six numbers of a rotation must be its first two rows, and these give no rotation")
+        raise ValueError(
+            "the six numbers of a rotation are its first two rows; these are zero or parallel, and give no rotation"
+        )
     x = first / lengths[0]
     z = third / np.linalg.norm(third)
     return pose(position, np.array([x, np.cross(z, x), z]))
@@ -277,7 +279,7 @@ class PolicyRobot:
         joint = worst - (ends[arm] - self._widths[arm]) + 1
         return (
             f"an action commanded joint {joint} of the {self._sides[arm]} arm to move by {off[worst]:.2f} rad at once, "
-            f"more than {_MAX_JOINT_STEP} rad; reset to go on"
+            f"more than {_MAX_JOINT_STEP} rad; reset to continue"
         )
 
     def _commanded_row(self) -> Array | None:

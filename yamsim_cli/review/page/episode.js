@@ -121,7 +121,7 @@ export class EpisodeView {
     this.pinned.detail = null;
     if (isNew) {
       this.pinned.open(this.detail);
-      this.find("pinned-title").textContent = `Episode ${this.detail.episode}, ${this.detail.frames} frames; its joints are faint below`;
+      this.find("pinned-title").textContent = `Episode ${this.detail.episode}, ${this.detail.frames} frames; the faint lines below are its joints`;
     }
     this.seek(this.frame);
     return isNew;

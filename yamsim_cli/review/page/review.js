@@ -125,7 +125,7 @@ function change(episode, values, undo = true) {
       state.stale.delete(episode);
       fail("");
     } catch (error) {
-      fail(error.message === "Failed to fetch" ? "The program has ended: the decision is not kept." : error.message);
+      fail(error.message === "Failed to fetch" ? "`yamsim review` has ended: the decision is not stored." : error.message);
     }
     grid.refresh();
     mark(grid.current);
@@ -187,7 +187,7 @@ function close() {
   find("grid").focus();
 }
 
-/** Go to the undecided episode that deserves a look most; among equals, to the next one. */
+/** Go to the undecided episode with the highest priority; among equals, to the next one. */
 function next() {
   const here = current() ?? -1;
   let best = null;
@@ -307,7 +307,7 @@ function connect() {
   }
   const takeOver = keepClaim((claim) => {
     find("other").hidden = claim !== "other";
-    if (claim === "gone") fail("The program has ended. Start `yamsim review` again, and reload this page.");
+    if (claim === "gone") fail("`yamsim review` has ended. Start it again, and reload this page.");
   });
   find("take-over").addEventListener("click", takeOver);
 }

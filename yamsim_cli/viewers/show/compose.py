@@ -141,4 +141,4 @@ def _check_stable(model: mujoco.MjModel) -> None:
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_step(model, data, 100)
     if not np.isfinite(data.qpos).all() or np.abs(data.qpos - model.key_qpos[0]).max() > 0.05:
-        raise SimulationError("the composed scene does not stay at rest: do parts of it overlap?")
+        raise SimulationError("the composed scene does not stay at rest: check whether parts of it overlap")

@@ -110,14 +110,15 @@ def episode_positions(episode: StoredEpisode, simulator: Simulator) -> Array:
     frames = episode.frames()
     if not all(map(has_simulation_keys, frames)):
         raise DatasetError(
-            f"{episode.directory} holds no sim_qpos, so only its recorded images can be shown: --video without --render"
+            f"{episode.directory} holds no sim_qpos, so only its recorded images can be shown: give --video without "
+            "--render"
         )
     nq = simulator.scene.model.nq
     for k, frame in enumerate(frames):
         if len(frame["sim_qpos"]) != nq:
             raise DatasetError(
                 f"{episode.directory}: frame {k} has {len(frame['sim_qpos'])} positions, and its scene has {nq}: "
-                "it was made with another robot model or scene than its dataset says"
+                "its robot model or scene differs from the dataset's config"
             )
     return np.array([frame["sim_qpos"] for frame in frames])
 

@@ -232,7 +232,7 @@ class TeleopScene(TeleopInterface):
         """
         with self.lock:
             if not self._recording or self._settling_ticks_left:
-                self.message = "nothing was being recorded"
+                self.message = "no recording was in progress"
                 return
             self._end_recording()
 
@@ -241,7 +241,7 @@ class TeleopScene(TeleopInterface):
         if self._journal:
             self._journal.mark_stop()
         self._settling_ticks_left = self._ticks_after_stop
-        self.message = f"{'letting go, and ' if self._has_welds else ''}waiting until all is at rest"
+        self.message = f"{'releasing objects, and ' if self._has_welds else ''}waiting until all objects are at rest"
         if not self._settling_ticks_left:
             self._finish_recording()
 
@@ -262,7 +262,7 @@ class TeleopScene(TeleopInterface):
         with self.lock:
             if self._recording and not self.paused:
                 self.paused = True
-                self.message = "paused, because no browser was connected: Play continues"
+                self.message = "paused, because no browser was connected; click Play to continue"
 
     def submit_unfinished(self, left: UnfinishedRecording) -> None:
         """Submit the recording of a killed session, after simulating the ticks that miss after its stop."""
@@ -302,7 +302,7 @@ class TeleopScene(TeleopInterface):
         """End and delete the recording. The next attempt has the same layout."""
         with self.lock:
             if not self._recording:
-                self.message = "nothing was being recorded"
+                self.message = "no recording was in progress"
                 return
             self.discarded += 1
             if self._journal:
@@ -362,7 +362,7 @@ class TeleopScene(TeleopInterface):
             if arm.magnet and not holds:
                 arm.magnet = False
                 if self._has_welds:
-                    self.message = "the magnet found nothing within its reach"
+                    self.message = "no object is within reach of the magnet"
         self._ticks += 1
         if self._settling_ticks_left:
             self._settling_ticks_left -= 1
@@ -372,4 +372,4 @@ class TeleopScene(TeleopInterface):
             self._finish_recording()
         elif self._recording and self._episode.ticks >= self._max_ticks:
             self._end_recording()
-            self.message = f"stopped after {self._max_ticks * self.tick_seconds:.0f} s, the longest that is recorded"
+            self.message = f"stopped after {self._max_ticks * self.tick_seconds:.0f} s, the time limit of a recording"

@@ -158,7 +158,7 @@ def open_teleop(
             # A demonstration cannot be repeated, so write a placeholder record to the ledger.
             writer.log_attempt(writer.attempts[number])
         for lost in writer.attempts_without_episode:
-            warn(f"{episode_name(lost.episode or 0)} is gone, and a demonstration cannot be made again.")
+            warn(f"{episode_name(lost.episode or 0)} is missing, and a teleoperated episode cannot be recorded again.")
         try:
             journal = RecordingJournal(writer.path)
             with (
@@ -194,7 +194,7 @@ def _submit_unfinished(
             warn(f"{left.path} is kept, because attempts before this recording are missing.")
         else:
             seconds = len(left.ticks) * scene.tick_seconds
-            warn(f"Attempt {attempt}, {seconds:.1f} s long, was left by a session that was killed: it is judged now.")
+            warn(f"A killed session left attempt {attempt} ({seconds:.1f} s), which is judged now.")
             scene.submit_unfinished(left)
 
 

@@ -80,7 +80,7 @@ class _Shape(Config):
         try:
             roles = {piece.role for piece in self.generated_shape().pieces}
         except (ValueError, IndexError, FloatingPointError):
-            raise ValueError("these sizes contradict each other: a part would have no room") from None
+            raise ValueError("these sizes contradict each other: a part would have no positive size") from None
         if missing := sorted(roles - set(self.materials)):
             raise ConflictError(f"materials: {', '.join(missing)} is missing", ("materials",))
         if unknown := sorted(set(self.materials) - roles):
@@ -111,7 +111,7 @@ class VesselShape(_Shape):
         if 2 * self.wall_mm >= min(self.foot_mm, self.diameter_mm, self.neck_mm or self.foot_mm):
             raise ConflictError(f"wall_mm {self.wall_mm:g} leaves no interior", ("wall_mm",))
         if self.neck_mm is not None and self.shoulder_mm + self.slope_mm > self.height_mm - self.wall_mm:
-            raise ConflictError("shoulder_mm and slope_mm reach over the rim", ("shoulder_mm",))
+            raise ConflictError("shoulder_mm and slope_mm reach above the rim", ("shoulder_mm",))
         return self
 
     def _generate_shape(self) -> GeneratedShape:

@@ -71,7 +71,7 @@ def inspect_episode(number: int, directory: Path) -> InspectedEpisode:
     except DatasetError as error:
         return inspection_result(None, text, 0, str(error))
     if record.episode != number:
-        return inspection_result(record, text, 0, f"{EPISODE_FILE} is that of episode {record.episode}")
+        return inspection_result(record, text, 0, f"{EPISODE_FILE} is of episode {record.episode}")
     size = 0
     for name, sha256 in record.files.items():
         try:

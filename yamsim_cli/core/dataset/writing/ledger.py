@@ -83,15 +83,16 @@ class Ledger:
         for attempt in list(self.known_attempts.values()):
             if attempt.episode in made and made[attempt.episode].attempt != attempt.attempt:
                 name, other = episode_name(attempt.episode), made[attempt.episode].attempt
-                self.fault = self.fault or f"attempt {attempt.attempt} is listed as {name}, but that is attempt {other}"
+                self.fault = (
+                    self.fault or f"attempt {attempt.attempt} is listed as {name}, but {name} is attempt {other}"
+                )
                 del self.known_attempts[attempt.attempt], self._lines[attempt.attempt]
         for record in episodes:
             line = self.known_attempts.get(record.attempt)
             if line is not None and line.episode != record.episode:
                 raise DatasetError(
                     f"{self._file.parent / episode_name(record.episode)} is attempt {record.attempt}, "
-                    f"which {LEDGER_FILE} "
-                    "contradicts; the dataset cannot be resumed"
+                    f"but {LEDGER_FILE} lists another episode for this attempt; the dataset cannot be resumed"
                 )
             if line is None:
                 adopted = AttemptRecord.model_validate(
@@ -118,7 +119,7 @@ class Ledger:
         while last + 1 in self.known_attempts:
             last += 1
         for number in [number for number in self.known_attempts if number > last]:
-            self.fault = self.fault or f"attempt {number} is there, and {last + 1} is not"
+            self.fault = self.fault or f"attempt {number} is listed, but attempt {last + 1} is missing"
             del self.known_attempts[number], self._lines[number]
 
     def insert_lost_attempt(self, attempt: AttemptRecord) -> None:
