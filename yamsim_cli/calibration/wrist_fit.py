@@ -54,9 +54,9 @@ _BIASES = (0.5, 0.3, 0.3)  # px, standard deviations of shifts that all edges sh
 _INFLATION = 3.5  # of intervals; without it, the errors of a planted camera exceeded them by up to 3.4 times
 _MIN_FOUND = 0.6  # share of outline points with an edge within the last reach
 _MIN_FOCAL_SIGMA = 1e-6  # of the logarithm of an exactly known focal length
-# Found shares of an opening's own fit if nothing is between the fingers: the least, and how far it may be below the
-# best. In two planted handovers, openings without an object had shares of 0.92 to 0.97, others 0.50 to 0.87.
-_CLEAR_FOUND, _CLEAR_GAP = 0.8, 0.03
+# Share of outline points with an edge at a single opening, from which nothing hides the outline. In two planted
+# handovers, openings without an object had 0.92 to 0.97, others 0.50 to 0.87.
+_CLEAR_FOUND = 0.9
 _FOCAL = 6  # place of the focal length among the parameters, after turn and shift
 
 
@@ -156,12 +156,13 @@ def fit_wrist_camera(
     problem = _WristProblem(arm, rig, renderer, means, focal_sigma)
     T_flange_in_cam, log_focal, rows = problem.search(T_rig)
     if rows.found_share < _MIN_FOUND and len(means) > 1:
-        # An object between the fingers hides the outline at the openings at which they hold it.
-        alone = [_WristProblem(arm, rig, renderer, [one], focal_sigma).search(T_rig)[2].found_share for one in means]
-        if (best := max(alone)) >= _CLEAR_FOUND:
-            means = [one for one, share in zip(means, alone, strict=True) if share >= best - _CLEAR_GAP]
-            problem = _WristProblem(arm, rig, renderer, means, focal_sigma)
-            T_flange_in_cam, log_focal, rows = problem.search(T_rig)
+        # An object between the fingers hides the outline at the openings at which they hold it. So take one opening.
+        alone = [_WristProblem(arm, rig, renderer, [one], focal_sigma) for one in means]
+        fits = [one.search(T_rig) for one in alone]
+        best = max(range(len(fits)), key=lambda k: fits[k][2].found_share)
+        if fits[best][2].found_share >= _CLEAR_FOUND:
+            means, problem = [means[best]], alone[best]
+            T_flange_in_cam, log_focal, rows = fits[best]
     if rows.found_share < _MIN_FOUND:
         raise DatasetError(
             f"camera {name!r}: the gripper's outline meets the edges of pictures at {rows.found_share:.0%} of its "
