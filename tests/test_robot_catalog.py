@@ -78,7 +78,7 @@ def test_an_arm_without_start_starts_at_home(tmp_path: Path, locations: Location
     mine = _copy_of_yam(tmp_path, locations, _OWN_FAMILY | {"start: [": "# start: ["})
     found = {one["gripper"]: one for one in check_robot("copy", mine)}
     assert found["linear_4310"]["ok"] is True
-    assert found["crank"]["ok"] is None and "the gripper crank has none" in found["crank"]["detail"]
+    assert found["crank"]["ok"] is None and "the gripper crank has no wrist_camera" in found["crank"]["detail"]
 
 
 def test_the_check_of_a_gripper_names_the_arms_that_carry_it(locations: Locations) -> None:

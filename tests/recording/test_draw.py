@@ -224,7 +224,7 @@ def test_after_a_kill_nothing_is_half_visible_and_the_rest_is_the_same(recorded:
     [
         (("--camera", "left"), 2, "no camera 'left'"),
         (("--views", "101"), 2, "less than or equal to 100"),
-        (("--scene", "SCENE"), 2, "its table or its safety_plane differs"),
+        (("--scene", "SCENE"), 2, "its table or safety_plane differs"),
         (("--rig", "bimanual"), 2, "have other joints, sides or bases"),
         (("--randomization", "default", "--no-randomize"), 2, "contradict each other"),
         (("--camera-effects", "top=d405"), 2, "no camera 'top'"),
