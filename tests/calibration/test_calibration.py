@@ -191,6 +191,8 @@ def test_a_wrist_camera_is_written_if_all_fixed_cameras_are_refused(station: Rig
     found = make_calibration(station, outcome, [WristOutcome("wrist", MODEL, fit, None)])
     assert found is not None
     assert (found.cameras, [one.name for one in found.wrist_cameras]) == ((), ["wrist"])
+    with pytest.raises(UsageError, match="only wrist cameras"):
+        found.camera(None, "--episode-camera")
     assert not any(estimated for arm in found.arms for estimated in arm.joint_offsets_estimated)
     widths = {arm.name == found.reference: (arm.position_95_mm, arm.rotation_95_deg) for arm in found.arms}
     assert widths[True] == ((0, 0, 0), (0, 0, 0))

@@ -152,6 +152,8 @@ class Calibration(Config):
     def camera(self, name: str | None, option: str) -> CalibratedCamera:
         """Return a camera, None being the only one. Raise UsageError, which names `option`, if not exactly one fits."""
         names = [one.name for one in self.cameras]
+        if not names:
+            raise UsageError("the calibration has only wrist cameras; calibrate a fixed camera too")
         if name is None and len(names) > 1:
             raise UsageError(f"the calibration has several cameras ({', '.join(names)}); name one: {option}")
         for one in self.cameras:
