@@ -101,7 +101,7 @@ def test_a_damaged_dataset_shows_its_problems_first(sample: SampleDataset, repor
     text = report(sample, spoil)
     assert headings(text)[1] == "Problems"
     reader = needs_nothing_else(text)
-    assert "1 error and 12 warnings: do not train on" in reader.text
+    assert "1 error and 12 warnings: correct the errors before you train on" in reader.text
     assert "frames.gap" in reader.text
     assert "ep_000001/lowdim/000002.pkl: 2; valid: 0 to 5" in reader.text
     assert "<code>yamsim record --resume</code>" in text

@@ -197,7 +197,7 @@ def test_without_a_usable_config_nothing_can_be_made_again(dataset: Path, locati
     with pytest.raises(DatasetError, match=r"config\.yaml"):
         read_recording_config(dataset, locations)
     (dataset / "config.yaml").unlink()
-    with pytest.raises(DatasetError, match="nothing of the dataset can be simulated again"):
+    with pytest.raises(DatasetError, match="without it, the dataset cannot be simulated again"):
         read_recording_config(dataset, locations)
 
 

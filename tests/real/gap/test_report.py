@@ -89,4 +89,4 @@ def test_the_page_tells_the_photos_distance_without_a_gap(gaps: list[MotionGap],
     write_gap_page(report, gaps, [], tmp_path / "gap.html")
     text = (tmp_path / "gap.html").read_text()
     assert "4 photos of camera top were compared. 2 were left out" in text
-    assert "at its measured joints, without a gap: 0.4 px on average" in text
+    assert "at its measured joints, which does not include the gap: 0.4 px on average" in text

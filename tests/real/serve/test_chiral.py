@@ -186,7 +186,7 @@ def test_actions_are_taken_and_the_arms_stop_when_who_sent_them_goes(
     np.testing.assert_equal(robot.told, [np.full(20, 0.5), np.ones(20)])
     one.socket.close()
     turn(server)
-    assert "has gone" in robot.stop_reason
+    assert "has disconnected" in robot.stop_reason
 
 
 def test_a_client_without_actions_may_disconnect(server: ChiralServer, robot: Robot) -> None:
