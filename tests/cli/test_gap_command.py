@@ -55,7 +55,7 @@ def test_a_gap_above_the_limit_fails_with_a_whole_report(logs: Path, tmp_path: P
     logs_of = [logs / "late.csv", logs / "later.csv"]
     run = yamsim("gap", *logs_of, "--fail-above", "2.5", "--html", page, "--out", file, "--json")
     assert run.code == 5
-    assert run.err.splitlines()[-1].startswith("yamsim: joint")
+    assert run.err.splitlines()[-1].startswith("yamsim: the error of joint")
     assert "--fail-above" in run.err and "2.5" in run.err
     report = run.json
     assert len(report["recordings"]) == 2 and file.is_file() and page.read_text().endswith("</html>\n")
