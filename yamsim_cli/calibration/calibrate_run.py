@@ -211,8 +211,8 @@ class StationCalibrator:
         if exchanged < max(_MIN_OVERLAP, _EXCHANGE_GAIN * overlap):
             return started
         refusal = (
-            f"the arms are exchanged: with the other arm's joints, the best pose has an overlap of {exchanged:.2f}, as "
-            f"recorded of {overlap:.2f}; import the recording with --swap-arms"
+            f"the arms are exchanged: the best pose has an overlap of {exchanged:.2f} with the other arm's joints, and "
+            f"of {overlap:.2f} with the recorded ones; import the recording with --swap-arms"
         )
         figures = {**outcome.figures, EXCHANGED_OVERLAP: exchanged}
         return replace(started, outcome=replace(outcome, refusal=refusal, figures=figures))
