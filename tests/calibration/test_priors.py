@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -10,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from yamsim_cli.calibration.calibrate_run import offset_refusal
+from yamsim_cli.calibration.calibrate_run import CameraStart, fitted_k1, guessed_k1, offset_refusal
 from yamsim_cli.calibration.chosen_frames import ChosenFrame
 from yamsim_cli.calibration.episode_pictures import EpisodePictures
 from yamsim_cli.calibration.station_fit import (
@@ -25,7 +26,7 @@ from yamsim_cli.calibration.station_fit import (
 )
 from yamsim_cli.calibration.uncertainty import _with_joint2_error, focal_contradiction
 from yamsim_cli.calibration.wrist_fit import _WristProblem
-from yamsim_cli.camera_effects.lens_distortion import viewing_ray_grid
+from yamsim_cli.camera_effects.lens_distortion import project_points, viewing_ray_grid
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.rig import RigConfig
@@ -106,6 +107,23 @@ def test_a_focal_length_moved_beyond_its_interval_widens_all_intervals() -> None
         fit = cast(Any, SimpleNamespace(layout=layout, state=SimpleNamespace(log_focal=log_focal)))
         moved[name] = focal_contradiction(sigma, fit)
     assert moved == {"little": 1.0, "far": pytest.approx(2.0, rel=0.01)}
+
+
+def test_a_distortion_belongs_to_its_focal_length() -> None:
+    # The same lens: k1 at the true focal length of 390 px, and at the guess of 300 px.
+    true = CameraModel.from_focal_length(640, 480, 390.0)
+    start = CameraStart(CameraModel.from_focal_length(640, 480, 300.0), False, False)
+    log_focal = math.log(1.3)
+    guessed = start.with_k1(guessed_k1(0.08, log_focal))
+    pixels = [[20.0, 30.0], [320.0, 10.0], [600.0, 400.0]]
+    focal = [
+        project_points(replace(model, distortion=(k1, 0.0, 0.0, 0.0)), np.column_stack([rays, np.ones(3)]))
+        for model, k1 in ((true, 0.08), (guessed.model, guessed.k1))
+        for rays in [(np.array(pixels) - [319.5, 239.5]) / model.K[0][0]]
+    ]
+    np.testing.assert_allclose(focal[0], focal[1], atol=1e-9)
+    assert fitted_k1(guessed, 0.0, log_focal) == pytest.approx(0.08)
+    assert fitted_k1(guessed, 0.01, log_focal) == pytest.approx(0.09)
 
 
 def test_intervals_of_a_wrist_camera_grow_with_a_far_move_of_its_focal_length() -> None:

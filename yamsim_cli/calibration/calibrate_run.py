@@ -42,6 +42,7 @@ _FOCAL_GUESS = 0.9  # of the longer side: first guess of an unknown focal length
 _FOCAL_SCALES = (0.7, 0.9, 1.15, 1.5)  # tried factors of that guess
 _FOCAL_SIGMA = 0.4  # of the logarithm of an unknown focal length
 _LENS_SIGMA = 0.05  # of an unknown distortion's k1; lenses of 60 to 100 degrees have up to 0.1
+_MAX_K1 = 0.2  # four times this: a first fit to a wrong pose may give values with which no picture can be undistorted
 _SHARED_REACHES = (5.0, 3.5, 2.5, 2.5, 2.5, 2.5)  # grains, rounds of the fit of all cameras together
 
 
@@ -77,7 +78,7 @@ class CameraStart:
 
     Attributes:
         is_focal_known: whether `model` has the given or recorded focal length, not a guess.
-        is_lens_known: whether the distortion was given. If not, the fit estimates k1.
+        is_lens_known: whether the distortion was given. If not, the fit of a fixed camera estimates k1.
     """
 
     model: CameraModel
@@ -200,7 +201,7 @@ class StationCalibrator:
         if outcome.refusal is None or overlap is None or not has_two_equal_arms(self._rig):
             return started
         scene, quality, locations = self._surroundings
-        model = outcome.start.model
+        model = self._camera_start(outcome.name).model
         with BodyRenderer(self._rig, scene, quality, model, locations) as renderer:
             episodes = exchange_arms(self._episodes)
             prepared = prepare_camera(outcome.name, episodes, self._rig, renderer, model, self._request.frames)
@@ -313,7 +314,8 @@ class StationCalibrator:
         state = fits[0].state
         if not start.is_lens_known:
             # The fit's distortion is only right near the pictures' distortion, so they are undistorted first.
-            start = start.with_k1(start.k1 + state.lenses[0])
+            k1 = start.k1 + guessed_k1(state.lenses[0], state.log_focal[0])
+            start = start.with_k1(float(np.clip(k1, -_MAX_K1, _MAX_K1)))
             prepared, state = self._prepare(name, start.model), replace(state, lenses=(0.0,))
         prepared = with_clean_backgrounds(prepared, state, 0, self._episodes)
         best = problem.with_views([prepared.view]).fit(state, _SHARED_REACHES)
@@ -402,8 +404,21 @@ class StationCalibrator:
         if not outcome.start.is_focal_known:
             return "its focal length is estimated too; give its calibration with --camera"
         if not outcome.start.is_lens_known:
-            return "its distortion is estimated too; give a calibration with `distortion`, 0 0 0 0 for none"
+            return (
+                "its lens distortion is estimated too; give --camera NAME=FILE with `distortion` in the file "
+                "([0, 0, 0, 0] for rectified pictures)"
+            )
         return "give more episodes with other poses"
+
+
+def guessed_k1(remaining: float, log_focal: float) -> float:
+    """Return a k1 found at a fitted focal length for the focal length before the fit, to which the angles belong."""
+    return remaining / math.exp(2 * log_focal)
+
+
+def fitted_k1(start: CameraStart, remaining: float, log_focal: float) -> float:
+    """Return k1 for the fitted focal length: what was removed from the pictures, and what remained in them."""
+    return start.k1 * math.exp(2 * log_focal) + remaining
 
 
 def _priors(starts: Sequence[CameraStart]) -> FitPriors:

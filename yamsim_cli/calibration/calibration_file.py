@@ -97,7 +97,8 @@ class CalibratedArm(Config):
         position, quat: pose of its base in the base of `Calibration.reference`, m.
         joint_offsets_deg: measured minus true joints. That of the first joint is 0: an offset of it looks like a turn
             of the base.
-        base_body_turn_deg: turn about z of the base body from `quat`, which is the offset of the first joint.
+        base_body_turn_deg: turn of the base body about the z axis of the frame `position`, `quat`. It equals the
+            measured minus the true first joint, which `joint_offsets_deg` has as 0.
         base_body_turn_95_deg: half width of its 95 % interval; None in files of older versions, which lack the turn.
         joint_offsets_estimated: whether the pictures determine each offset; if not, its interval is mostly that of the
             assumption.
@@ -151,15 +152,19 @@ class Calibration(Config):
 
     def camera(self, name: str | None, option: str) -> CalibratedCamera:
         """Return a camera, None being the only one. Raise UsageError, which names `option`, if not exactly one fits."""
+        self.require_fixed_cameras()
         names = [one.name for one in self.cameras]
-        if not names:
-            raise UsageError("the calibration has only wrist cameras; calibrate a fixed camera too")
         if name is None and len(names) > 1:
             raise UsageError(f"the calibration has several cameras ({', '.join(names)}); name one: {option}")
         for one in self.cameras:
             if name in (None, one.name):
                 return one
         raise UsageError(f"the calibration has no camera {name!r}; {suggest_similar(str(name), names)}")
+
+    def require_fixed_cameras(self) -> None:
+        """Raise UsageError if the calibration has only wrist cameras."""
+        if not self.cameras:
+            raise UsageError("the calibration has only wrist cameras; calibrate a fixed camera too")
 
     def placed_camera(self, camera: CalibratedCamera) -> PlacedCamera:
         """Return the model of a camera with its delay, and the arms' base poses in it with their joint offsets."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..core.config.rig import RigConfig
-from ..core.errors import DatasetError, PartialJobError, SimulationError
+from ..core.errors import DatasetError, PartialJobError, SimulationError, UsageError
 from ..core.files.documents.json_text import json_text
 from ..core.files.writing import write_outputs
 from ..core.geometry.camera import CameraModel
@@ -29,7 +29,7 @@ from ..core.markup import (
 )
 from ..core.statistics import Z95
 from ..photos.picture_overlay import blend_arms
-from .calibrate_run import EXCHANGED_OVERLAP, CameraOutcome, StationOutcome, outline_px
+from .calibrate_run import EXCHANGED_OVERLAP, CameraOutcome, StationOutcome, fitted_k1, outline_px
 from .calibration_file import (
     CALIBRATION_FILE,
     CalibratedArm,
@@ -76,9 +76,9 @@ def _widths(interval: PoseInterval) -> dict[str, Numbers3]:
 def make_calibration(
     rig: RigConfig, outcome: StationOutcome, wrists: Sequence[WristOutcome] = ()
 ) -> Calibration | None:
-    """Return the calibration of the cameras with a certain pose; None without any.
+    """Return the calibration of all cameras with a certain pose, or None if there is no such camera.
 
-    If all fixed cameras are refused, bases and joint offsets are those assumed before the fit.
+    Without a certain fixed camera, bases and joint offsets are those assumed before the fit.
     """
     fit, intervals = outcome.fit, outcome.intervals
     certain = [one for one in outcome.cameras if one.refusal is None]
@@ -123,7 +123,7 @@ def _calibrated_camera(
 ) -> CalibratedCamera:
     T, start = invert_pose(fit.state.T_base_in_cam[number]), outcome.start
     if not start.is_lens_known:
-        start = start.with_k1(start.k1 + fit.state.lenses[number])
+        start = start.with_k1(fitted_k1(start, fit.state.lenses[number], fit.state.log_focal[number]))
     # The pose belongs to the fitted focal length, also where the fit moved a given one within its error.
     model = replace(start.model, K=_with_focal_scale(start.model, math.exp(fit.state.log_focal[number])))
     moved = abs(fit.state.log_focal[number])
@@ -296,6 +296,8 @@ def require_agreement(given: Calibration, found: Calibration) -> list[dict[str, 
         rows.append({"name": camera.name, "agrees": agrees, "shift_mm": mm, "turn_deg": degrees})
         if not agrees:
             faults.append(f"camera {camera.name!r} is {mm:.1f} mm and {degrees:.2f} degrees away")
+    if not rows:
+        raise UsageError("--check: the calibration has no fixed camera of the result, so nothing was compared")
     if faults:
         raise SimulationError(
             f"the pictures contradict the calibration: {'; '.join(faults)}, more than the intervals of both; was a "

@@ -101,7 +101,8 @@ def _known_cameras(path: Path, rig: RigConfig, locations: Locations) -> dict[str
     from yamsim_cli.real.import_recording.importing import KnownCamera
 
     found = load_calibration(path, locations).for_rig(rig, "--calibration")
+    found.require_fixed_cameras()
     return {
-        one.name: KnownCamera(np.array(one.K), (one.width, one.height), one.T_cam_in_base, bool(one.distortion))
+        one.name: KnownCamera(np.array(one.K), (one.width, one.height), one.T_cam_in_base, any(one.distortion))
         for one in found.cameras
     }
