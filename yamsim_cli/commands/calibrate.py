@@ -95,6 +95,8 @@ def calibrate(
     require_unused_paths("--out", output_files(out), overwrite=overwrite)
     earlier = near or check
     given = load_calibration(earlier, where).for_rig(settings, str(earlier)) if earlier else None
+    if given is not None:
+        given.require_fixed_cameras()
     found = read_episode_pictures(episodes, settings, where, mapping)
     if difference := other_rigs(found, settings.name):
         print_note(difference)
