@@ -181,7 +181,9 @@ def main() -> None:
     parser.add_argument("--h264", action="store_true", help="a video instead of JPEG")
     parser.add_argument("--boards", action="store_true", help="a board beside the arm, and poses by it")
     parser.add_argument("--hard", action="store_true", help="textures, and larger joint offsets and delays")
-    parser.add_argument("--mixed", action="store_true", help="hard stations; the seed chooses all options but --size")
+    parser.add_argument(
+        "--mixed", action="store_true", help="hard stations; the seed chooses all options but --size and --frames"
+    )
     parser.add_argument("--only-record", action="store_true", help="record stations into --keep, and end")
     parser.add_argument("--unknown-focal", action="store_true", help="do not give the camera's calibration")
     parser.add_argument("--max-shift", type=float, default=5.0, help="mm, of intervals that count as refused")
@@ -189,10 +191,9 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="folder for episodes and results; recorded episodes are used again")
     given = parser.parse_args()
     same = StationOptions(**{field.name: getattr(given, field.name) for field in fields(StationOptions)})
-    options = same
-    if options.h264 and options.renderer == FILAMENT:
+    if same.h264 and same.renderer == FILAMENT:
         parser.error("--h264 needs all pictures, and Filament renders those that the fit reads; leave one out")
-    if options.boards and (options.arms == 2 or options.wrist):
+    if same.boards and (same.arms == 2 or same.wrist):
         parser.error("--boards is for one arm without wrist cameras")
     console, rows = Console(width=240), []
     with scratch_directory("yamsim-calibrate-") as scratch:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..core.config.rig import RigConfig
-from ..core.errors import DatasetError, PartialJobError, SimulationError, UsageError
+from ..core.errors import DatasetError, PartialJobError, SimulationError
 from ..core.files.documents.json_text import json_text
 from ..core.files.writing import write_outputs
 from ..core.geometry.camera import CameraModel
@@ -148,7 +148,7 @@ def _with_focal_scale(model: CameraModel, scale: float) -> tuple[Numbers3, Numbe
 
 def _calibrated_arm(name: str, number: int, fit: StationFit, intervals: StationIntervals) -> CalibratedArm:
     T, found, found_widths = fit.state.T_arm_in_base[number], fit.state.offsets[number], intervals.offsets[number]
-    prior = FitPriors((), ()).offset
+    prior = FitPriors().offset
     # In the base that is written, the measured first joint is true.
     offsets, widths = (np.concatenate([[0.0], values[1:]]) for values in (found, found_widths))
     return CalibratedArm(
@@ -166,7 +166,7 @@ def _calibrated_arm(name: str, number: int, fit: StationFit, intervals: StationI
 
 def _assumed_arm(rig: RigConfig, number: int) -> CalibratedArm:
     """Return an arm as the rig has it, with the intervals before the fit."""
-    priors, dof = FitPriors((), ()), rig.arms[number].robot.dof
+    priors, dof = FitPriors(), rig.arms[number].robot.dof
     T = rig_bases(rig)[number]
     is_reference = number == rig.recording_order[0]
     shift, turn = (0.0, 0.0) if is_reference else (priors.base_shift, priors.base_turn)
@@ -176,11 +176,11 @@ def _assumed_arm(rig: RigConfig, number: int) -> CalibratedArm:
         name=rig.arms[number].name,
         position=_numbers(T[:3, 3]),
         quat=_quat(T),
-        position_95_mm=_numbers(1000 * interval.position),
-        rotation_95_deg=_numbers(np.degrees(interval.turn)),
+        **_widths(interval),
         joint_offsets_deg=(0.0,) * dof,
         joint_offsets_95_deg=(0.0, *(width,) * (dof - 1)),
         joint_offsets_estimated=(False,) * dof,
+        base_body_turn_deg=0.0,
         base_body_turn_95_deg=width,
     )
 
@@ -296,8 +296,6 @@ def require_agreement(given: Calibration, found: Calibration) -> list[dict[str, 
         rows.append({"name": camera.name, "agrees": agrees, "shift_mm": mm, "turn_deg": degrees})
         if not agrees:
             faults.append(f"camera {camera.name!r} is {mm:.1f} mm and {degrees:.2f} degrees away")
-    if not rows:
-        raise UsageError("--check: the calibration has no fixed camera of the result, so nothing was compared")
     if faults:
         raise SimulationError(
             f"the pictures contradict the calibration: {'; '.join(faults)}, more than the intervals of both; was a "

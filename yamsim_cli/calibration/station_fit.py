@@ -64,8 +64,8 @@ class FitPriors:
         still_biases: the same of a still body, whose background is not known.
     """
 
-    focal: tuple[float, ...]
-    lens: tuple[float, ...]
+    focal: tuple[float, ...] = ()
+    lens: tuple[float, ...] = ()
     delay: float = 0.06
     offset: float = math.radians(1.0)
     base_shift: float = 0.03

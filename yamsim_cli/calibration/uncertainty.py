@@ -33,7 +33,7 @@ def is_measured(half_width: float, prior: float) -> bool:
 
 def is_base_measured(position_95_mm: Sequence[float], rotation_95_deg: Sequence[float]) -> bool:
     """Return whether all half widths (3,) of the second base's 95 % intervals, mm and degrees, are measured."""
-    priors = FitPriors((), ())
+    priors = FitPriors()
     return is_pose_measured(position_95_mm, rotation_95_deg, priors.base_shift, priors.base_turn)
 
 

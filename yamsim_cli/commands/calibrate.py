@@ -102,6 +102,11 @@ def calibrate(
         print_note(difference)
     request = _make_request(camera, found, settings, where, (frames, max_shift / 1000, math.radians(max_turn)))
     request = request.with_near(given)
+    if check is not None and given is not None and not {one.name for one in given.cameras} & {*request.cameras}:
+        raise UsageError(
+            f"--check {check}: none of its cameras ({', '.join(one.name for one in given.cameras)}) is calibrated, so "
+            "there is nothing to compare; name one of them with --camera"
+        )
     scene = load_config(SceneConfig, "scenes", "studio", where)
     quality = load_config(RenderConfig, "quality", "fast", where)
     where = session_opener.with_mesh_folders(where, rig_mesh_sets(settings))

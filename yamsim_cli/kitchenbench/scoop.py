@@ -35,7 +35,7 @@ from .scoop_strokes import (
 )
 from .tilting import TICKS, HeldSource, Tilt, nearest_free_hands, tilt_path
 
-_LIFT = 0.05  # m, straight up after grasping the tool: over the dish's wall of 36 mm
+_LIFT = 0.05  # m, straight up after grasping the tool: over the dish's wall of up to 40 mm
 _LAYING_CLEARANCE = 0.01  # m, by which each finger opens to lay the tool down; no other value is recorded
 # rad, largest change of a joint in an action of a stroke or on the way. 1.0 with a spoon was tried only together with
 # the pile of a cup, and brought less.
