@@ -24,6 +24,7 @@ from yamsim_cli.camera_effects.lens_distortion import viewing_ray_grid
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.lowdim import dump_frame, load_frame
+from yamsim_cli.core.files.documents.yaml_document import load_yaml
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_z
@@ -39,20 +40,6 @@ NOISE, BLUR, JPEG = 3.0, 0.5, 85  # grey levels, px, quality
 H264_CRF, H264_GOP = 23, 12  # x264's rate factor, and pictures from one whole picture to the next
 MAX_OFFSET, MAX_DELAY = math.radians(1.5), 0.08  # rad, s
 HARD_OFFSET, HARD_DELAY = math.radians(3.0), 0.12  # rad, s, the same for hard stations
-TEXTURES = {  # of the table and the floor of hard stations
-    "table": {
-        "saturation": [0.0, 0.6],
-        "value": [0.25, 0.9],
-        "contrast": [0.08, 0.35],
-        "textures": {"wood": 3, "marble": 1, "concrete": 1, "weave": 1, "stripes": 1, "noise": 1},
-    },
-    "floor": {
-        "saturation": [0.0, 0.5],
-        "value": [0.2, 0.75],
-        "contrast": [0.05, 0.25],
-        "textures": {"checker": 1, "wood": 1, "concrete": 1, "tiles": 1, "carpet": 1},
-    },
-}
 MIXED_STREAM = 37  # with a station's seed, seeds the choice of its options
 TWO_ARM_SHARE = 0.25  # of mixed stations
 FOCAL_ERROR = 0.003  # standard deviation, relative
@@ -246,6 +233,15 @@ def scene_of(rng: np.random.Generator, arms: int) -> dict[str, Any]:
     }
 
 
+def _textures(locations: Locations) -> dict[str, Any]:
+    """Return the table and the floor of the looks for training, without plain ones."""
+    looks = load_yaml(locations.config_file("randomization", "looks")).data
+    found = {surface: looks[surface] for surface in ("table", "floor")}
+    for ranges in found.values():
+        del ranges["textures"]["plain"]
+    return found
+
+
 def _write_rig(rng: np.random.Generator, file: Path, options: StationOptions, locations: Locations) -> RigConfig:
     """Write the rig of the recording, whose second base and wrist cameras are not where the fit's rig has them."""
     rig = load_config(RigConfig, "rigs", options.rig, locations)
@@ -285,7 +281,7 @@ def record_station(seed: int, folder: Path, options: StationOptions) -> Planted:
                 "y": [-0.3, 0.3],
                 "clearance": 0.03,
             },
-            **(TEXTURES if options.hard else {}),
+            **(_textures(locations) if options.hard else {}),
         },
     }
     folder.mkdir(parents=True, exist_ok=True)

@@ -104,7 +104,14 @@ def estimate_intervals(problem: StationProblem, fit: StationFit) -> StationInter
     widths = Z95 * np.sqrt(np.diag(covariance))
     layout = fit.layout
     one, other = halves
-    starts = [layout.camera(number).start for number in range(layout.cameras)]
+
+    def of_cameras(
+        place: int, first: Sequence[float], second: Sequence[float], least: float = 0.0
+    ) -> tuple[float, ...]:
+        """Return a half width for each camera: of the parameter at `place`, whose values differ between the halves."""
+        own = [float(widths[layout.camera(number).start + place]) for number in range(layout.cameras)]
+        return tuple(max(w, abs(a - b) / 2, least) for w, a, b in zip(own, first, second, strict=True))
+
     bases = []
     for arm in range(len(layout.dofs)):
         place = layout.base(arm)
@@ -118,18 +125,9 @@ def estimate_intervals(problem: StationProblem, fit: StationFit) -> StationInter
         )
     return StationIntervals(
         tuple(cameras),
-        tuple(
-            max(float(widths[s + FOCAL]), abs(a - b) / 2)
-            for s, a, b in zip(starts, one.log_focal, other.log_focal, strict=True)
-        ),
-        tuple(
-            max(float(widths[s + LENS]), abs(a - b) / 2)
-            for s, a, b in zip(starts, one.lenses, other.lenses, strict=True)
-        ),
-        tuple(
-            max(float(widths[s + DELAY]), abs(a - b) / 2, _EXPOSURE)
-            for s, a, b in zip(starts, one.delays, other.delays, strict=True)
-        ),
+        of_cameras(FOCAL, one.log_focal, other.log_focal),
+        of_cameras(LENS, one.lenses, other.lenses),
+        of_cameras(DELAY, one.delays, other.delays, least=_EXPOSURE),
         tuple(
             np.maximum(widths[layout.offsets(arm)], np.abs(one.offsets[arm] - other.offsets[arm]) / 2)
             for arm in range(len(layout.dofs))

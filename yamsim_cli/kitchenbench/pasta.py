@@ -115,13 +115,11 @@ def fillings_of(blueprint: SceneBlueprint, locations: Locations) -> dict[str, Fi
         if grams is None:
             continue
         piece = _solid_piece(item.asset, locations)
-        if STRAND_CONDITION in blueprint.conditions:
-            length = 10.0 * float(blueprint.conditions[STRAND_CONDITION])
+        if pile is not None or STRAND_CONDITION in blueprint.conditions:
+            length = pile.length_mm if pile else 10.0 * float(blueprint.conditions[STRAND_CONDITION])
             piece = with_shape(piece, {**shape_data(piece), "length_mm": length})
-        if pile is not None:
-            piece = with_shape(piece, {**shape_data(piece), "length_mm": pile.length_mm})
         piece = _thick_enough(piece, grams, most, pile is not None)
-        if is_pile(item):
+        if pile is not None:
             piece = _smooth(piece)
         found[item.parent or item.name] = Filling(of=piece, grams=grams, max_pieces=most)
     return found

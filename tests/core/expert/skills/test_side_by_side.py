@@ -61,7 +61,7 @@ def test_hands_meet_side_by_side_where_they_do_not_meet_face_to_face() -> None:
 def test_hands_meet_between_bases_of_unequal_height(height: float, tmp_path: Path) -> None:
     opener = SessionOpener(os.environ, lambda text: None, "--{}".format)
     where = opener.find_locations()
-    rig = load_yaml(Path("configs/rigs/bimanual.yaml")).data
+    rig = load_yaml(where.config_file("rigs", "bimanual")).data
     rig["arms"][0]["base"] = {"position": [0, 0, height]}
     (tmp_path / "uneven.yaml").write_text(dump_yaml(rig))
     config = opener.load_record_config("default", where, task="handover", rig=str(tmp_path / "uneven.yaml"))
