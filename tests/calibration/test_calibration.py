@@ -223,6 +223,9 @@ def test_the_page_has_wrist_cameras_offsets_by_joint_and_refusals(
 ) -> None:
     handmade_station(tmp_path, station).write()
     calibration = load_calibration(tmp_path, locations)
+    turned = {"base_body_turn_deg": 1.2, "base_body_turn_95_deg": 0.3}
+    arms = tuple(arm.model_copy(update=turned) for arm in calibration.arms)
+    calibration = calibration.model_copy(update={"arms": arms})
     refused = CameraOutcome("back", CameraStart(MODEL, True, True), "it sees no arm")
     wrist = WristOutcome("left_wrist", MODEL, None, "too few pictures")
     page = write_page(station, StationOutcome((refused,), (), (), (), None, None), calibration, [wrist])
@@ -234,6 +237,6 @@ def test_the_page_has_wrist_cameras_offsets_by_joint_and_refusals(
         "left_eye",
         "400.0 \N{PLUS-MINUS SIGN} 2.0, 100.0",
         "joint 6",
-        "the reference 0 \N{EM DASH}",
+        "the reference 1.20 \N{PLUS-MINUS SIGN} 0.30 \N{EM DASH}",
     ):
         assert part in text, part

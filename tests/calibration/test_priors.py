@@ -11,17 +11,20 @@ import cv2
 import numpy as np
 import pytest
 
-from yamsim_cli.calibration.calibrate_run import CameraStart, fitted_k1, guessed_k1, offset_refusal
+from yamsim_cli.calibration.calibrate_run import CameraStart, guessed_k1, offset_refusal
 from yamsim_cli.calibration.chosen_frames import ChosenFrame
 from yamsim_cli.calibration.episode_pictures import EpisodePictures
 from yamsim_cli.calibration.station_fit import (
     DELAY,
     FOCAL,
+    LENS,
     MOVING,
+    CameraPrior,
     FitPriors,
     FittedCameraView,
     Layout,
     StationProblem,
+    fitted_k1,
     start_state,
 )
 from yamsim_cli.calibration.uncertainty import _with_joint2_error, focal_contradiction
@@ -41,13 +44,16 @@ def test_the_priors_hold_the_rig_and_not_the_start_of_the_fit(station: RigConfig
     view = cast(
         Any, SimpleNamespace(renderer=SimpleNamespace(arm_of_body=np.zeros(3, np.int64)), kinds=np.zeros((2, 3)))
     )
-    problem = StationProblem(station, [view], [], FitPriors((0.01,), (0.0,)))
+    problem = StationProblem(station, [view], [], FitPriors((CameraPrior(0.01),)))
     state = start_state(station, [pose((0.0, 0.0, 1.0))], [0.0], 3)
     assert not problem.prior_deviation(state).any()
     other = 1 - station.recording_order[0]
     bases = list(state.T_arm_in_base)
     bases[other] = pose((0.0, 0.0, 0.02)) @ bases[other] @ pose(rotation=rotation_z(0.01))
     offsets = tuple(np.full_like(one, 0.03) for one in state.offsets)
+    removed = StationProblem(station, [view], [], FitPriors((CameraPrior(0.01, 0.05, removed_k1=0.04),)))
+    distorted = removed.prior_deviation(replace(state, lenses=(0.01,)))
+    assert distorted[problem.layout.camera(0)][LENS] == pytest.approx(0.05)
     moved = problem.prior_deviation(replace(state, delays=(0.05,), offsets=offsets, T_arm_in_base=tuple(bases)))
     assert moved[problem.layout.camera(0)][DELAY] == 0.05
     np.testing.assert_allclose(moved[problem.layout.offsets(other)], 0.03)
@@ -122,8 +128,8 @@ def test_a_distortion_belongs_to_its_focal_length() -> None:
         for rays in [(np.array(pixels) - [319.5, 239.5]) / model.K[0][0]]
     ]
     np.testing.assert_allclose(focal[0], focal[1], atol=1e-9)
-    assert fitted_k1(guessed, 0.0, log_focal) == pytest.approx(0.08)
-    assert fitted_k1(guessed, 0.01, log_focal) == pytest.approx(0.09)
+    assert fitted_k1(guessed.k1, 0.0, log_focal) == pytest.approx(0.08)
+    assert fitted_k1(guessed.k1, 0.01, log_focal) == pytest.approx(0.09)
 
 
 def test_intervals_of_a_wrist_camera_grow_with_a_far_move_of_its_focal_length() -> None:
@@ -164,9 +170,9 @@ def test_the_fit_finds_a_distortion_that_remains_in_the_pictures(locations: Loca
             frames.append(ChosenFrame(0, k, float(times[k]), image, seen, 0, np.ones_like(mask), seen, mask))
         kinds = np.where(renderer.arm_of_body >= 0, MOVING, 0).astype(np.uint8)
         view = FittedCameraView("top", renderer, tuple(frames), np.tile(kinds, (8, 1)))
-        priors = FitPriors((0.003,), (0.05,), delay=0.0, offset=0.0)
+        priors = FitPriors((CameraPrior(0.003, 0.05),), delay=0.0, offset=0.0)
         found = StationProblem(rig, [view], [episode], priors).fit(state).state
-        held = StationProblem(rig, [view], [episode], replace(priors, lens=(0.0,))).fit(state).state
+        held = StationProblem(rig, [view], [episode], replace(priors, cameras=(CameraPrior(0.003),))).fit(state).state
     assert found.lenses[0] == pytest.approx(0.08, abs=0.015)
     assert abs(held.lenses[0]) < 1e-6
     errors = [np.linalg.norm(one.T_base_in_cam[0][:3, 3] - T_base_in_cam[:3, 3]) for one in (found, held)]

@@ -195,6 +195,8 @@ def main() -> None:
         parser.error("--h264 needs all pictures, and Filament renders those that the fit reads; leave one out")
     if same.boards and (same.arms == 2 or same.wrist):
         parser.error("--boards is for one arm without wrist cameras")
+    if given.only_record and not given.keep:
+        parser.error("--only-record needs --keep")
     console, rows = Console(width=240), []
     with scratch_directory("yamsim-calibrate-") as scratch:
         for seed in range(given.first, given.first + given.stations):

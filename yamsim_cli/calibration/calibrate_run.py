@@ -24,7 +24,7 @@ from .chosen_frames import ChosenFrame
 from .episode_pictures import EpisodePictures
 from .exchanges import WristCameraMoves, exchange_arms, has_two_equal_arms, wrist_camera_fault
 from .pose_search import Hypothesis, mask_overlap, search_poses
-from .station_fit import FitPriors, FittedCameraView, StationFit, StationProblem, StationState, start_state
+from .station_fit import CameraPrior, FitPriors, FittedCameraView, StationFit, StationProblem, StationState, start_state
 from .uncertainty import StationIntervals, estimate_intervals
 from .wrist_fit import WristOutcome, estimate_wrist_camera
 
@@ -86,14 +86,10 @@ class CameraStart:
     is_lens_known: bool
 
     @property
-    def focal_sigma(self) -> float:
-        """Standard deviation of the logarithm of the focal length."""
-        return self.model.focal_sigma if self.is_focal_known else _FOCAL_SIGMA
-
-    @property
-    def lens_sigma(self) -> float:
-        """Standard deviation of k1."""
-        return 0.0 if self.is_lens_known else _LENS_SIGMA
+    def prior(self) -> CameraPrior:
+        """What is known before the fit."""
+        focal = self.model.focal_sigma if self.is_focal_known else _FOCAL_SIGMA
+        return CameraPrior(focal) if self.is_lens_known else CameraPrior(focal, _LENS_SIGMA, self.k1)
 
     @property
     def k1(self) -> float:
@@ -303,7 +299,7 @@ class StationCalibrator:
         figures: Mapping[str, float],
     ) -> _Started:
         """Fit the best hypotheses to the outlines, and keep the best."""
-        problem = StationProblem(self._rig, [prepared.view], self._episodes, _priors([start]))
+        problem = StationProblem(self._rig, [prepared.view], self._episodes, FitPriors((start.prior,)))
         fits = []
         for one in hypotheses[:2]:
             focal = math.log(one.focal_scale)
@@ -318,7 +314,8 @@ class StationCalibrator:
             start = start.with_k1(float(np.clip(k1, -_MAX_K1, _MAX_K1)))
             prepared, state = self._prepare(name, start.model), replace(state, lenses=(0.0,))
         prepared = with_clean_backgrounds(prepared, state, 0, self._episodes)
-        best = problem.with_views([prepared.view]).fit(state, _SHARED_REACHES)
+        problem = StationProblem(self._rig, [prepared.view], self._episodes, FitPriors((start.prior,)))
+        best = problem.fit(state, _SHARED_REACHES)
         share = found_share(best)
         figures = {**figures, "found_share": share, "outline_px": outline_px(best, 0)}
         refusal = None
@@ -360,7 +357,7 @@ class StationCalibrator:
         if not usable:
             return StationOutcome(tuple(one.outcome for one in started), (), (), (), None, None)
         views = tuple(one.prepared.view for one in usable)
-        priors = _priors([one.outcome.start for one in usable])
+        priors = FitPriors(tuple(one.outcome.start.prior for one in usable))
         problem = StationProblem(self._rig, views, self._episodes, priors)
         fit = problem.fit(_joined_state([one.state for one in usable if one.state]), _SHARED_REACHES)
         intervals = estimate_intervals(problem, fit)
@@ -414,15 +411,6 @@ class StationCalibrator:
 def guessed_k1(remaining: float, log_focal: float) -> float:
     """Return a k1 found at a fitted focal length for the focal length before the fit, to which the angles belong."""
     return remaining / math.exp(2 * log_focal)
-
-
-def fitted_k1(start: CameraStart, remaining: float, log_focal: float) -> float:
-    """Return k1 for the fitted focal length: what was removed from the pictures, and what remained in them."""
-    return start.k1 * math.exp(2 * log_focal) + remaining
-
-
-def _priors(starts: Sequence[CameraStart]) -> FitPriors:
-    return FitPriors(tuple(one.focal_sigma for one in starts), tuple(one.lens_sigma for one in starts))
 
 
 def found_share(fit: StationFit, camera: int | None = None) -> float:

@@ -29,7 +29,7 @@ from ..core.markup import (
 )
 from ..core.statistics import Z95
 from ..photos.picture_overlay import blend_arms
-from .calibrate_run import EXCHANGED_OVERLAP, CameraOutcome, StationOutcome, fitted_k1, outline_px
+from .calibrate_run import EXCHANGED_OVERLAP, CameraOutcome, StationOutcome, outline_px
 from .calibration_file import (
     CALIBRATION_FILE,
     CalibratedArm,
@@ -40,7 +40,7 @@ from .calibration_file import (
     calibration_text,
 )
 from .exchanges import WristCameraMoves, wrist_camera_fault
-from .station_fit import FitPriors, StationFit, rig_bases
+from .station_fit import FitPriors, StationFit, fitted_k1, rig_bases
 from .uncertainty import PoseInterval, StationIntervals, is_measured
 from .wrist_fit import WristFit, WristOutcome
 
@@ -123,7 +123,7 @@ def _calibrated_camera(
 ) -> CalibratedCamera:
     T, start = invert_pose(fit.state.T_base_in_cam[number]), outcome.start
     if not start.is_lens_known:
-        start = start.with_k1(fitted_k1(start, fit.state.lenses[number], fit.state.log_focal[number]))
+        start = start.with_k1(fitted_k1(start.k1, fit.state.lenses[number], fit.state.log_focal[number]))
     # The pose belongs to the fitted focal length, also where the fit moved a given one within its error.
     model = replace(start.model, K=_with_focal_scale(start.model, math.exp(fit.state.log_focal[number])))
     moved = abs(fit.state.log_focal[number])
@@ -369,11 +369,15 @@ def _arms_section(calibration: Calibration) -> Markup:
         offsets = [_with_interval(value, width, 2) if estimated else _UNKNOWN for value, width, estimated in rows]
         is_reference = arm.name == calibration.reference
         base = ["the reference", ""] if is_reference else _pose_cells(arm)
-        cells.append([arm.name, *base, "0", *offsets[1:]])
-    joints = [f"joint {number}" for number in range(1, max(len(row) for row in cells) - 2)]
-    heads = ("arm", f"position of the base in the base of {calibration.reference}, mm", "turn, degrees", *joints)
+        turn, width = arm.base_body_turn_deg, arm.base_body_turn_95_deg
+        body_turn = _UNKNOWN if width is None else _with_interval(turn, width, 2)
+        cells.append([arm.name, *base, body_turn, *offsets[1:]])
+    joints = [f"joint {number}" for number in range(2, max(len(row) for row in cells) - 2)]
+    place = f"position of the base in the base of {calibration.reference}, mm"
+    heads = ("arm", place, "turn, degrees", "turn of the base body, degrees", *joints)
     text = (
-        "Joint offsets, in degrees, are measured minus true joints. The offset of joint 1 is 0 by definition. "
+        "Joint offsets, in degrees, are measured minus true joints. The offset of joint 1 is 0 by definition. It "
+        "appears as the turn of the base body about z, relative to the base's frame. "
         f"The pictures do not determine offsets marked {_UNKNOWN}."
     )
     return html_section("Arms", html_tag("p", text), html_table(heads, cells))
@@ -457,7 +461,13 @@ def _offset_text(arm: CalibratedArm) -> str:
         if estimated
         else "no joint offset is estimated from the pictures"
     )
-    return f"{text}; held: {', '.join(held)}" if held else text
+    if held:
+        text += f"; held: {', '.join(held)}"
+    if arm.base_body_turn_95_deg is None or not is_measured(
+        math.radians(arm.base_body_turn_95_deg), FitPriors().offset
+    ):
+        return text
+    return f"{text}; base body turned by {arm.base_body_turn_deg:.2f} degrees"
 
 
 def output_files(folder: Path) -> Sequence[Path]:

@@ -50,12 +50,27 @@ _BIASES = 3  # of each body
 
 
 @dataclass(frozen=True)
+class CameraPrior:
+    """What is known of a camera before the fit.
+
+    Attributes:
+        focal: standard deviation of the logarithm of the focal length.
+        lens: standard deviation of the distortion k1, whose mean is 0; 0 for a known distortion.
+        removed_k1: estimated k1, for the focal length before the fit, that was removed from the pictures. A known
+            distortion does not count.
+    """
+
+    focal: float
+    lens: float = 0.0
+    removed_k1: float = 0.0
+
+
+@dataclass(frozen=True)
 class FitPriors:
     """Standard deviations of what is known before the fit.
 
     Attributes:
-        focal: of the logarithm of each camera's focal length.
-        lens: of each camera's remaining k1.
+        cameras: of each camera.
         delay: s.
         offset: of a joint, rad.
         base_shift, base_turn: of the second base in the first one, m and rad.
@@ -64,8 +79,7 @@ class FitPriors:
         still_biases: the same of a still body, whose background is not known.
     """
 
-    focal: tuple[float, ...] = ()
-    lens: tuple[float, ...] = ()
+    cameras: tuple[CameraPrior, ...] = ()
     delay: float = 0.06
     offset: float = math.radians(1.0)
     base_shift: float = 0.03
@@ -231,10 +245,10 @@ class StationProblem:
         sigma = np.full(self.layout.size, np.inf)
         for number, view in enumerate(views):
             start = self.layout.camera(number).start
-            sigma[start + FOCAL] = max(priors.focal[number], _HELD)
+            sigma[start + FOCAL] = max(priors.cameras[number].focal, _HELD)
             sigma[start + DELAY] = max(priors.delay, _HELD)
             sigma[start + MARGIN] = priors.margin
-            sigma[start + LENS] = max(priors.lens[number], _HELD)
+            sigma[start + LENS] = max(priors.cameras[number].lens, _HELD)
             still = (view.kinds == STILL).mean(axis=0) > _MOSTLY
             biases = np.where(still[:, None], priors.still_biases, priors.biases)
             sigma[start + BIASES : self.layout.camera(number).stop] = biases.ravel()
@@ -260,7 +274,7 @@ class StationProblem:
         return StationFit(self.layout, state, tuple(equations), self.prior, tuple(centres))
 
     def with_views(self, views: Sequence[FittedCameraView]) -> StationProblem:
-        """Return the same problem with other pictures of its cameras."""
+        """Return the same problem with other pictures of its cameras, with the same distortion removed."""
         return StationProblem(self._rig, views, self.episodes, self._priors)
 
     def prior_deviation(self, state: StationState) -> Array:
@@ -271,7 +285,8 @@ class StationProblem:
             deviation[start + FOCAL] = state.log_focal[number]
             deviation[start + DELAY] = state.delays[number]
             deviation[start + MARGIN] = state.margins[number]
-            deviation[start + LENS] = state.lenses[number]
+            removed = self._priors.cameras[number].removed_k1
+            deviation[start + LENS] = fitted_k1(removed, state.lenses[number], state.log_focal[number])
             deviation[start + BIASES : self.layout.camera(number).stop] = state.biases[number]
         for arm, (offsets, T, T_prior) in enumerate(
             zip(state.offsets, state.T_arm_in_base, rig_bases(self._rig), strict=True)
@@ -507,6 +522,11 @@ def _edge_sigmas(rows: Sequence[_FrameRows]) -> dict[tuple[int, int], float]:
         for body in np.unique(one.bodies).tolist():
             parts.setdefault((one.camera, body), []).append(one.residuals[one.bodies == body])
     return {key: edge_spread(np.concatenate(own), EDGE_SIGMA * grains[key[0]]) for key, own in parts.items()}
+
+
+def fitted_k1(removed: float, remaining: float, log_focal: float) -> float:
+    """Return k1 for the fitted focal length: what was removed from the pictures, and what remained in them."""
+    return removed * math.exp(2 * log_focal) + remaining
 
 
 def start_state(

@@ -317,7 +317,7 @@ def test_kalibrs_chains(locations: Locations) -> None:
     write_camchain(cam0=kalibr_camera())
     assert read("camchain.yaml", locations) == read("camchain.yaml:cam0", locations) == RADTAN
     write_camchain(cam0=kalibr_camera(distortion_model="none", distortion_coeffs=[]))
-    assert read("camchain.yaml", locations).distortion == ()
+    assert read("camchain.yaml", locations).distortion == (0.0, 0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(

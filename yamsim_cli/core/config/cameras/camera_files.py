@@ -163,7 +163,9 @@ def _convert_kalibr(document: Document, at: CameraKeyPath) -> Document:
     camera.expect("distortion_model", camera.get("distortion_model"), _KALIBR_LENSES)
     fu, fv, pu, pv = camera.get("intrinsics", 4)
     camera.put("K", "intrinsics", [[fu, 0.0, pu], [0.0, fv, pv], [0.0, 0.0, 1.0]])
-    camera.put("distortion", "distortion_coeffs", camera.get("distortion_coeffs"))
+    # Without coefficients, yamsim would count the distortion as unknown.
+    is_rectified = camera.get("distortion_model") == "none"
+    camera.put("distortion", "distortion_coeffs", [0.0] * 4 if is_rectified else camera.get("distortion_coeffs"))
     _put_size(camera, "resolution")
     return camera.document()
 
