@@ -180,6 +180,7 @@ def main() -> None:
     parser.add_argument("--hand", action="store_true", help="a hand hides part of some pictures")
     parser.add_argument("--h264", action="store_true", help="a video instead of JPEG")
     parser.add_argument("--boards", action="store_true", help="a board beside the arm, and poses by it")
+    parser.add_argument("--rolling", action="store_true", help="a rolling shutter, with --renderer filament")
     parser.add_argument("--hard", action="store_true", help="textures, and larger joint offsets and delays")
     parser.add_argument(
         "--mixed", action="store_true", help="hard stations; the seed chooses all options but --size and --frames"
@@ -193,6 +194,8 @@ def main() -> None:
     same = StationOptions(**{field.name: getattr(given, field.name) for field in fields(StationOptions)})
     if same.h264 and same.renderer == FILAMENT:
         parser.error("--h264 needs all pictures, and Filament renders those that the fit reads; leave one out")
+    if same.rolling and same.renderer != FILAMENT:
+        parser.error("--rolling is for --renderer filament")
     if same.boards and (same.arms == 2 or same.wrist):
         parser.error("--boards is for one arm without wrist cameras")
     if given.only_record and not given.keep:

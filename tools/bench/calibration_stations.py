@@ -48,6 +48,7 @@ MAX_K1 = 0.08  # of a lens
 BASE_SHIFT, BASE_YAW = 0.02, 3.0  # m, degrees
 WRIST_SHIFT, WRIST_TURN = 0.004, math.radians(2.0)  # m, rad
 HAND_SHARE, HAND_SIZE = 0.3, 0.12  # share of pictures with a hand, and half its width over the picture's width
+READOUT = 0.03  # s, of a rolling shutter, from the first to the last row; about the time between two pictures
 _NOT_RENDERED = b"no picture"  # content of a file that the fit must not read: it would end with an error
 _SKIN = (142.0, 172.0, 214.0)  # BGR
 QUALITY = {
@@ -76,6 +77,7 @@ class StationOptions:
         hand: whether a hand hides part of some pictures.
         h264: whether pictures were a video, instead of JPEG.
         boards: whether a fiducial board lies beside the arm's base, in pictures and rig; only with one arm.
+        rolling: whether the fixed camera has a rolling shutter; only with Filament.
         hard: whether table and floor have textures, and offsets and delays are up to `HARD_OFFSET` and `HARD_DELAY`.
     """
 
@@ -90,6 +92,7 @@ class StationOptions:
     hand: bool = False
     h264: bool = False
     boards: bool = False
+    rolling: bool = False
     hard: bool = False
 
     @classmethod
@@ -383,7 +386,8 @@ class _Spoiling:
                 if camera.name == CAMERA and self._options.renderer == FILAMENT:
                     for picture in pictures:
                         (out / picture.name).write_bytes(_NOT_RENDERED)
-                    pictures = _filament_pictures(one, folder / "filament" / one.name, chosen)
+                    readout = READOUT if self._options.rolling else 0.0
+                    pictures = _filament_pictures(one, folder / "filament" / one.name, chosen, readout)
                 self._write_pictures(pictures, out)
 
     def _write_joints(self, clean: Path, out: Path) -> tuple[Array, Array]:
@@ -476,11 +480,12 @@ def _used_pictures(motions: Sequence[tuple[Array, Array]], options: StationOptio
     ]
 
 
-def _filament_pictures(clean: Path, out: Path, chosen: Sequence[int]) -> list[Path]:
+def _filament_pictures(clean: Path, out: Path, chosen: Sequence[int], readout: float) -> list[Path]:
     """Render pictures of an episode with Filament, in a program of its own, into `out`."""
     missing = [k for k in chosen if not (out / f"{k:06d}.png").is_file()]
     if missing:
         out.mkdir(parents=True, exist_ok=True)
         module = "tools.bench.filament_episode"
-        _run([sys.executable, "-m", module, str(clean), str(out), CAMERA, *map(str, missing)])
+        command = [sys.executable, "-m", module, str(clean), str(out), CAMERA, *map(str, missing)]
+        _run([*command, "--readout", str(readout)])
     return [out / f"{k:06d}.png" for k in chosen]
