@@ -98,10 +98,10 @@ def test_distorting_labels_creates_no_new_labels(camera: CameraModel) -> None:
 def test_flattening_undoes_the_lens(camera: CameraModel) -> None:
     """A distorted photo, undistorted, is the ideal picture, wherever the lens sees."""
     warp = LensWarp(camera, 1)
-    ideal = warp.ideal
-    rows, columns = np.mgrid[: ideal.height, : ideal.width]
+    rows, columns = np.mgrid[: warp.ideal.height, : warp.ideal.width]
     picture = (128 + 60 * np.sin(columns / 25) + 60 * np.cos(rows / 31)).astype(np.uint8)
     flat = warp.undistort_photo(warp.distort_picture(picture))
+    picture, ideal = warp.coarse_picture(picture), warp.coarse_intrinsics
     assert flat.shape == picture.shape
     seen = np.round(viewing_rays(camera, whole_image(camera, 5)) * (ideal.fx, ideal.fy) + (ideal.cx, ideal.cy)).astype(
         int
@@ -116,11 +116,28 @@ def test_flattening_undoes_the_lens(camera: CameraModel) -> None:
 def test_every_nth_pixel_of_the_ideal_picture_is_the_coarse_cameras(supersample: int) -> None:
     warp = LensWarp(WEBCAM, supersample)
     fine, coarse = warp.ideal, warp.coarse_intrinsics
-    picture = np.zeros((fine.height, fine.width))[::supersample, ::supersample]
+    picture = warp.coarse_picture(np.zeros((fine.height, fine.width)))
     assert picture.shape == (coarse.height, coarse.width)
     k = 37
     ray = (k * supersample - fine.cx) / fine.fx
     assert ray * coarse.fx + coarse.cx == pytest.approx(k)
+
+
+def test_the_coarse_picture_is_cut_to_a_camera_whose_principal_point_is_at_a_side() -> None:
+    cut = CameraModel(376, 480, ((520.0, 0.0, 55.0), (0.0, 520.0, 239.5), (0.0, 0.0, 1.0)))
+    warp = LensWarp(cut, 2)
+    coarse = warp.coarse_intrinsics
+    assert 376 <= coarse.width < 376 * 1.05
+    assert warp.ideal.width > 2 * 600
+    photo = np.tile(np.linspace(0, 250, 376), (480, 1)).astype(np.uint8)
+    assert warp.undistort_photo(photo).shape == (coarse.height, coarse.width)
+    # The columns of the ideal picture, as numbers: where the coarse camera sees a ray, it shows the ideal column.
+    columns = np.tile(np.arange(warp.ideal.width), (warp.ideal.height, 1))
+    shown = warp.coarse_picture(columns)
+    assert shown.shape == (coarse.height, coarse.width)
+    rays = (np.arange(coarse.width) - coarse.cx) / coarse.fx
+    np.testing.assert_allclose(shown[0], rays * warp.ideal.fx + warp.ideal.cx, atol=1e-6)
+    assert warp.cut_to_view(columns)[0, ::2].tolist() == shown[0].tolist()
 
 
 def test_the_ideal_picture_holds_all_that_the_lens_sees() -> None:

@@ -17,6 +17,7 @@ from ..core.geometry.se3 import Array
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-9)
 
 _RAY_SPACING = 8  # px between exact rays; interpolated ones are off by at most 5e-4 px
+_MARGIN = 0.01  # share of the largest angle by which an ideal picture shows more than the real camera, on each side
 _MAX_HALF_ANGLE = math.radians(75.0)  # rad from the axis; a wider pinhole picture would be mostly border
 
 
@@ -109,7 +110,8 @@ class LensWarp:
                 np.column_stack([np.repeat(edge_x[[0, -1]], 65), np.tile(edge_y, 2)]),
             ]
         )
-        reach = np.abs(viewing_rays(camera, border)).max(axis=0) * 1.01
+        rays = viewing_rays(camera, border)
+        reach = np.abs(rays).max(axis=0) * (1 + _MARGIN)
         if not np.isfinite(reach).all() or reach.max() > math.tan(_MAX_HALF_ANGLE):
             raise ConfigError(
                 f"the camera sees {math.degrees(math.atan(float(reach.max()))):.0f} degrees off its axis, too wide for "
@@ -124,6 +126,7 @@ class LensWarp:
         self.ideal = Intrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
         self._camera = camera
         self.supersample = supersample
+        self._window = self._coarse_window(rays, _MARGIN / (1 + _MARGIN) * reach)
         self._known_maps: dict[int, tuple[NDArray[np.float32], NDArray[np.float32]]] = {}
 
     @property
@@ -142,16 +145,39 @@ class LensWarp:
 
     @property
     def coarse_intrinsics(self) -> Intrinsics:
-        """The ideal camera with every `supersample`-th row and column."""
-        fine, step = self.ideal, self.supersample
+        """The camera of every `supersample`-th row and column of the ideal picture, cut to what the real one sees."""
+        fine, step, (rows, columns) = self.ideal, self.supersample, self._window
         return Intrinsics(
-            -(-fine.width // step),
-            -(-fine.height // step),
+            columns.stop - columns.start,
+            rows.stop - rows.start,
             fine.fx / step,
             fine.fy / step,
-            fine.cx / step,
-            fine.cy / step,
+            fine.cx / step - columns.start,
+            fine.cy / step - rows.start,
         )
+
+    def _coarse_window(self, rays: Array, margin: Array) -> tuple[slice, slice]:
+        """Return the rows and columns that contain the rays (n, 2) of the real camera's border and a margin (2,).
+
+        If the principal point is not in the middle, as in cut pictures, the ideal picture has more at one side.
+        """
+        fine, step = self.ideal, self.supersample
+        found = []
+        for axis, size, focal, middle in ((1, fine.height, fine.fy, fine.cy), (0, fine.width, fine.fx, fine.cx)):
+            ends = rays[:, axis].min() - margin[axis], rays[:, axis].max() + margin[axis]
+            first, last = ((middle + end * focal) / step for end in ends)
+            found.append(slice(max(math.floor(first), 0), min(math.ceil(last) + 1, -(-size // step))))
+        return found[0], found[1]
+
+    def coarse_picture(self, ideal: NDArray[Any]) -> NDArray[Any]:
+        """Return the picture of the camera `coarse_intrinsics` in an ideal picture (height, width[, channels])."""
+        step = self.supersample
+        return np.ascontiguousarray(self.cut_to_view(ideal)[::step, ::step])
+
+    def cut_to_view(self, ideal: NDArray[Any]) -> NDArray[Any]:
+        """Return the part of an ideal picture that `coarse_intrinsics` shows, with all its rows and columns."""
+        rows, columns = (slice(part.start * self.supersample, part.stop * self.supersample) for part in self._window)
+        return ideal[rows, columns]
 
     def distort_picture(self, ideal: NDArray[np.uint8], nearest: bool = False) -> NDArray[np.uint8]:
         """Return the real camera's picture (height, width[, channels]) of an ideal one; `nearest` for masks and ids."""

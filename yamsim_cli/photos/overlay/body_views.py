@@ -91,15 +91,15 @@ class BodyRenderer(ArmRenderer):
         """Render bodies and depth for the poses of `set_poses`."""
         no_flex = np.zeros(self._model.nflex, np.uint8)
         fine, depth = self._renderer.render_labels_and_depth(self._data, _CAMERA, self._label_of_geom, no_flex)
-        step = self._warp.supersample
-        coarse = np.ascontiguousarray(fine[::step, ::step])
-        return BodyPicture(coarse, np.ascontiguousarray(depth[::step, ::step]), fine, step)
+        warp = self._warp
+        return BodyPicture(
+            warp.coarse_picture(fine), warp.coarse_picture(depth), warp.cut_to_view(fine), warp.supersample
+        )
 
     def arm_picture(self) -> ArmPicture:
         """Render colours and arms' labels for the poses of `set_poses`, without lens distortion."""
         labels = (self.arm_of_body + 1)[self.body_picture().bodies].astype(np.uint8)
-        step = self._warp.supersample
-        return ArmPicture(np.ascontiguousarray(self._renderer.render(self._data, _CAMERA)[::step, ::step]), labels)
+        return ArmPicture(self._warp.coarse_picture(self._renderer.render(self._data, _CAMERA)), labels)
 
     def joint_axes(self) -> list[JointAxes]:
         """Return each arm's joints for the poses of `set_poses`."""

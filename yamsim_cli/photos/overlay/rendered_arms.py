@@ -141,16 +141,12 @@ class ArmRenderer(Closable):
 
     def undistorted_label_image(self) -> NDArray[np.uint8]:
         """Render labels without lens distortion: 0 background, k the k-th arm."""
-        step = self._warp.supersample
-        return np.ascontiguousarray(self._undistorted_labels()[::step, ::step])
+        return self._warp.coarse_picture(self._undistorted_labels())
 
     def pinhole_arms(self) -> ArmsInPinholePicture:
         """Render labels and depth without lens distortion."""
-        step = self._warp.supersample
-        depth = self._renderer.render_depth(self._data, _CAMERA)[::step, ::step]
-        return ArmsInPinholePicture(
-            self.undistorted_label_image(), np.ascontiguousarray(depth), self._warp.coarse_intrinsics
-        )
+        depth = self._warp.coarse_picture(self._renderer.render_depth(self._data, _CAMERA))
+        return ArmsInPinholePicture(self.undistorted_label_image(), depth, self._warp.coarse_intrinsics)
 
     def _undistorted_labels(self) -> NDArray[np.uint8]:
         if self._labels is None:
