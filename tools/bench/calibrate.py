@@ -51,8 +51,10 @@ from yamsim_cli.core.geometry.se3 import Array, pose_from_quat
 WIDE = 200, 20  # mm and degrees, limits that refuse no pose for its interval
 
 
-def calibrate_station(folder: Path, planted: Planted, options: StationOptions, known_focal: bool) -> dict[str, Any]:
-    """Return errors and intervals of a station's calibration, or its refusal."""
+def calibrate_station(
+    folder: Path, planted: Planted, options: StationOptions, known_focal: bool, near: Path | None = None
+) -> dict[str, Any]:
+    """Return errors and intervals of a station's calibration, or its refusal; `near` is an earlier calibration."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     names = [CAMERA, *planted.T_wrist_in_flange]
     given = [name if name == CAMERA and not known_focal else f"{name}={folder / f'{name}.yaml'}" for name in names]
@@ -60,6 +62,7 @@ def calibrate_station(folder: Path, planted: Planted, options: StationOptions, k
     text = run_yamsim(
         *("calibrate", folder / "episodes", "--rig", options.rig, *cameras, "--frames", options.frames, "--json"),
         *("--max-shift", WIDE[0], "--max-turn", WIDE[1], "--out", folder / "calibration", "--overwrite"),
+        *(("--near", near) if near else ()),
         codes=(0, 4, 6),
     )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

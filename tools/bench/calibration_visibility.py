@@ -1,11 +1,12 @@
 """Errors of `yamsim calibrate` over the share of the arm that the camera sees.
 
-    python -m tools.bench.calibrate --mixed --only-record --keep out/bench --size 640x480 --first 4002 --stations 6
-    python -m tools.bench.calibration_visibility out/bench/400* [--shares 1 0.7 0.5 0.3]
+    python -m tools.bench.calibrate --mixed --keep out/bench --size 640x480 --first 4002 --stations 6
+    python -m tools.bench.calibration_visibility out/bench/400* [--shares 1 0.7 0.5 0.3] [--near]
 
 Each station is a folder of `tools.bench.calibrate --keep`, with one arm. Its pictures are cut at one side, until they
 contain the given share of the pixels that change with the arm. The stations have different sides, as far as the
 principal point stays in the picture. The camera file fits the cut pictures, whose pixels per degree are the same.
+With `--near`, the search starts with the calibration by the whole pictures.
 """
 
 from __future__ import annotations
@@ -94,8 +95,8 @@ def cut_station(station: Path, out: Path, cut: Cut) -> None:
     (out / f"{CAMERA}.yaml").write_text(yaml.safe_dump(camera))
 
 
-def measure(stations: Sequence[Path], shares: Sequence[float], console: Console) -> None:
-    """Print the errors of each share."""
+def measure(stations: Sequence[Path], shares: Sequence[float], is_near: bool, console: Console) -> None:
+    """Print the errors of each share; `is_near` tells whether the search gets an earlier calibration."""
     for share in shares:
         rows = []
         for number, station in enumerate(stations):
@@ -106,7 +107,8 @@ def measure(stations: Sequence[Path], shares: Sequence[float], console: Console)
                 continue
             with scratch_directory("yamsim-visibility-") as scratch:
                 cut_station(station, scratch, cut)
-                row = calibrate_station(scratch, planted, StationOptions(), True) | {"seed": seed}
+                near = station / "calibration" if is_near else None
+                row = calibrate_station(scratch, planted, StationOptions(), True, near) | {"seed": seed}
             rows.append(row)
             size = f"{cut.columns.stop - cut.columns.start} x {cut.rows.stop - cut.rows.start} px"
             console.print(f"{share:.0%}, {size}, {station_line(row)}", highlight=False)
@@ -119,8 +121,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("stations", type=Path, nargs="+")
     parser.add_argument("--shares", type=float, nargs="+", default=[1.0, 0.7, 0.5, 0.3])
+    parser.add_argument("--near", action="store_true", help="give the calibration by the whole pictures")
     given = parser.parse_args()
-    measure(given.stations, given.shares, Console(width=240))
+    measure(given.stations, given.shares, given.near, Console(width=240))
 
 
 if __name__ == "__main__":
