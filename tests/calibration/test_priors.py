@@ -10,8 +10,9 @@ from typing import Any, cast
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from yamsim_cli.calibration.calibrate_run import CameraStart, guessed_k1, offset_refusal
+from yamsim_cli.calibration.calibrate_run import CameraStart, StationCalibrator, guessed_k1, offset_refusal
 from yamsim_cli.calibration.chosen_frames import ChosenFrame
 from yamsim_cli.calibration.episode_pictures import EpisodePictures
 from yamsim_cli.calibration.station_fit import (
@@ -177,3 +178,16 @@ def test_the_fit_finds_a_distortion_that_remains_in_the_pictures(locations: Loca
     assert abs(held.lenses[0]) < 1e-6
     errors = [np.linalg.norm(one.T_base_in_cam[0][:3, 3] - T_base_in_cam[:3, 3]) for one in (found, held)]
     assert errors[0] < 0.5 * errors[1]
+
+
+def test_a_refusal_names_near_if_what_moves_reaches_the_border() -> None:
+    def hint(near: object, *masks: NDArray[np.bool_]) -> str:
+        calibrator = cast(Any, SimpleNamespace(_request=SimpleNamespace(near=near)))
+        return StationCalibrator._border_hint(calibrator, cast(Any, [SimpleNamespace(changed=one) for one in masks]))
+
+    inside, cut = np.zeros((2, 60, 80), dtype=bool)
+    inside[20:40, 30:50] = True
+    cut[20:40, 50:] = True
+    assert "--near" in hint(None, cut, cut, cut, inside)
+    assert not hint(None, cut, inside)
+    assert not hint("calibration.yaml", cut)

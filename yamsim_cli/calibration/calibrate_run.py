@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core.config.rendering import RenderConfig
 from ..core.config.rig import RigConfig
@@ -33,6 +34,8 @@ _MIN_FRAMES = 16  # pictures; with fewer, the scatter between groups of them is 
 _MIN_CHANGED = 0.005  # share of a picture that changes with the arms, of the median picture
 _MIN_MOTION = math.radians(5)  # rad, smallest range of some joint of the reference arm in the pictures of a camera
 _MIN_OVERLAP = 0.25  # intersection over union of the moving bodies with what changes
+_BORDER_PX = 12  # px; undistorted pictures show up to 1 % more than the camera, on each side
+_BORDER_SHARE = 0.7  # share of pictures in which what moves reaches the border, from which the arms may be cut off
 _MAX_CHANCE = 0.85  # the overlap for exchanged poses, as a share of that for each picture's own pose
 _MIN_FOUND = 0.6  # share of outline points with an edge within the last reach
 _EXCHANGE_GAIN = 1.15  # times the overlap as recorded, from which the arms' joints count as exchanged
@@ -267,7 +270,8 @@ class StationCalibrator:
         if overlap < _MIN_OVERLAP:
             return refused(
                 f"no pose explains where the picture changes: the best has an overlap of {overlap:.2f}, at least "
-                f"{_MIN_OVERLAP} is needed; are these the pictures of this rig, with radians, and of these episodes?",
+                f"{_MIN_OVERLAP} is needed; are these the pictures of this rig, with radians, and of these episodes?"
+                f"{self._border_hint(frames)}",
                 overlap=overlap,
             )
         chance = self._chance_overlap(prepared, hypotheses[0])
@@ -324,6 +328,7 @@ class StationCalibrator:
                 f"the outlines of the arms meet the picture's edges at {share:.0%} of their points, at least "
                 f"{_MIN_FOUND:.0%} are needed: are joints and pictures of the same episodes, are the rig's arm and "
                 "gripper those in the pictures, and is the camera's calibration correct?"
+                f"{self._border_hint(prepared.view.frames)}"
             )
         elif len(fits) > 1 and found_share(fits[1]) > found_share(fits[0]) - _RIVAL and _is_other_pose(*fits):
             refusal = (
@@ -331,6 +336,15 @@ class StationCalibrator:
                 "farther to the sides"
             )
         return _Started(CameraOutcome(name, start, refusal, figures), prepared, best.state)
+
+    def _border_hint(self, frames: Sequence[ChosenFrame]) -> str:
+        """Return a remedy if the camera may see only a part of the arms, and no approximate pose was given."""
+        if self._request.near or np.mean([_reaches_border(one.changed) for one in frames]) < _BORDER_SHARE:
+            return ""
+        return (
+            " In most pictures, what moves reaches the border: if the camera sees only a part of the arms, give an "
+            "earlier calibration of the station (--near)"
+        )
 
     def _known_poses(self, name: str) -> list[Array]:
         """Return the poses of the reference base in the rig's cameras and in the earlier calibration's."""
@@ -406,6 +420,12 @@ class StationCalibrator:
                 "([0, 0, 0, 0] for rectified pictures)"
             )
         return "give more episodes with other poses"
+
+
+def _reaches_border(mask: NDArray[np.bool_]) -> bool:
+    """Return whether a mask (height, width) has pixels near a side."""
+    k = _BORDER_PX
+    return bool(mask[:k].any() or mask[-k:].any() or mask[:, :k].any() or mask[:, -k:].any())
 
 
 def guessed_k1(remaining: float, log_focal: float) -> float:
