@@ -169,11 +169,11 @@ def _snap_container(base: ObjectConfig, lid: ObjectConfig, force: float) -> dict
         centre = [side * (length + _EAR[0]) / 2, 0.0, height - _EAR_DROP - _EAR[2] / 2]
         ears.append({"type": "box", "centre": centre, "half_size": [size / 2 for size in _EAR], "rgba": rgba})
         grasped = [centre[0] + side * _EAR_OUTWARD, *centre[1:]]
+        handles += _flat_ear_handles(side, grasped)
         for tilt in _SNAP_TILTS:
             # The hand leans away from the lid.
             lean, name = math.radians(tilt), f"ear_{'front' if side > 0 else 'back'}_{tilt}"
             handles.append(_handle(name, grasped, 0.0, -side * math.sin(lean), math.cos(lean), _EAR[1] / 2))
-        handles += _flat_ear_handles(side, grasped)
     joint = {
         "type": "slide", "axis": [0, 0, 1], "range": [0, _SNAP_TRAVEL], "damping": _SNAP_DAMPING,
         "armature": _SNAP_ARMATURE,

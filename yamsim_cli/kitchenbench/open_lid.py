@@ -35,6 +35,7 @@ _MAX_STEP_OF_PATH = 1.6  # rad, of a joint between two of these postures; more i
 _TURN_STEP = math.radians(8)  # rad, between the angles of a turn at which contacts are checked
 _START_STEPS = 2  # steps of a turn between grasps that are tried to begin it
 _SIMILAR_TURN = math.radians(5)  # rad; a longer turn is preferred if it gains more than this
+_SIMILAR_LEVER = 0.002  # m; between levers that differ by less, the first handle of the container is preferred
 _APPROACH_CHECKS = 4  # postures of an approach at which contacts are checked
 _MIN_TURN = math.radians(25)  # rad, shortest turn of a hand that is tried
 _MIN_GAIN = 0.1  # share of the hand's turn by which the lid has to turn; else it slips between the fingers
@@ -117,7 +118,7 @@ class OpenLid(Skill):
                     grips.sort(key=lambda grip: float(np.linalg.norm(grip.T_pinch[:3, 3] - steady.T_pinch[:3, 3])))
                     for grip in grips:
                         lever = float(np.linalg.norm((grip.T_pinch - steady.T_pinch)[:2, 3]))
-                        if (best is None or lever < -best[0]) and _can_approach(context, steady, thing, grip):
+                        if (best is None or lever < -best[0] - _SIMILAR_LEVER) and _can_approach(context, steady, thing, grip):
                             best = (-lever, steady, grip)
                     continue
                 for postures in turns:
