@@ -19,7 +19,7 @@ from ..core.expert.skills.grasp_candidates import is_orientation_plausible
 from ..core.expert.skills.hand import WAYPOINT_TOLERANCE, Hand
 from ..core.expert.skills.planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from ..core.expert.skills.skill import Skill
-from ..core.geometry.se3 import Array, pose, rotation_from_vector, rotation_z
+from ..core.geometry.se3 import Array, pose, rotation_from_vector, rotation_vector, rotation_z
 from .lids import LID
 
 _FORCE = 50.0  # N, asked of each finger. Source: I2RT's SDK limits grippers to 50 N per finger
@@ -40,10 +40,8 @@ _APPROACH_CHECKS = 4  # postures of an approach at which contacts are checked
 _MIN_TURN = math.radians(25)  # rad, shortest turn of a hand that is tried
 _MIN_GAIN = 0.1  # share of the hand's turn by which the lid has to turn; else it slips between the fingers
 _MAX_TURNS = 14  # grasps of a screw lid
-_PULL_SPEED = 0.05  # m/s
-_MAX_PRESS = 0.07  # m, of the command of the hand that steadies, below its grasp
-# m and count, of pulls that each go farther: both arms yield by 2 to 3 mm per newton
-_EXTRA_PULL, _MAX_PULLS = 0.02, 6
+_FORCE_STEP, _MAX_PULL = 5.0, 30.0  # N, of pulls at a snap lid, each of which is stronger; pads slip above 30 N
+_DIFFERENCE = 1e-5  # rad, of the joints between two poses whose difference gives a Jacobian
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ class OpenLid(Skill):
         if link.joint.type == "screw":
             yield from self._unscrew(context, thing, link, grip, turn)
         else:
-            yield from self._pull(context, thing, link, grip, steady)
+            yield from self._pull(context, thing, grip, steady)
         opened = context.world.joint_opening(thing, LID)
         for reach in (grip, steady):
             yield from release_and_retreat(context, reach.hand, _CLEARANCE)
@@ -118,7 +116,8 @@ class OpenLid(Skill):
                     grips.sort(key=lambda grip: float(np.linalg.norm(grip.T_pinch[:3, 3] - steady.T_pinch[:3, 3])))
                     for grip in grips:
                         lever = float(np.linalg.norm((grip.T_pinch - steady.T_pinch)[:2, 3]))
-                        if (best is None or lever < -best[0] - _SIMILAR_LEVER) and _can_approach(context, steady, thing, grip):
+                        shorter = best is None or lever < -best[0] - _SIMILAR_LEVER
+                        if shorter and _can_approach(context, steady, thing, grip):
                             best = (-lever, steady, grip)
                     continue
                 for postures in turns:
@@ -155,23 +154,39 @@ class OpenLid(Skill):
             path = _turn_path(context, grip, (angle, 0.0), (higher, rise), _BACKWARD_STEPS)
             yield context.make_segment({hand: path}, wait_for_arrival=False)
 
-    def _pull(
-        self, context: PlanningContext, thing: str, link: Link, grip: _Reach, steady: _Reach
-    ) -> Iterator[MotionSegment]:
-        """Yield the motions of two hands: one pulls a lid up, the other presses the container onto the table."""
-        travel = (self.to + 0.05) * link.joint.range[1]
+    def _pull(self, context: PlanningContext, thing: str, grip: _Reach, steady: _Reach) -> Iterator[MotionSegment]:
+        """Yield motions in which one hand pulls a lid up, more each time, and the other holds the container down."""
         yield _close_fingers(context, grip)
-        for number in range(_MAX_PULLS):
-            T_up, T_down = grip.T_pinch.copy(), steady.T_pinch.copy()
-            T_up[2, 3] += travel + number * _EXTRA_PULL
-            T_down[2, 3] -= min((number + 1) * _EXTRA_PULL, _MAX_PRESS)
-            paths = {
-                grip.hand: context.plan_line(grip.hand, T_up, _PULL_SPEED),
-                steady.hand: context.plan_line(steady.hand, T_down, _PULL_SPEED),
-            }
+        lever = grip.T_pinch[:3, 3] - steady.T_pinch[:3, 3]
+        starts = {reach.hand: reach.hand.joints.copy() for reach in (grip, steady)}
+        for force in np.arange(_FORCE_STEP, _MAX_PULL + _FORCE_STEP / 2, _FORCE_STEP):
+            up = np.array([0.0, 0.0, force])
+            # The hand that steadies also keeps the container from tipping towards the hand that pulls.
+            loads = {grip.hand: (up, np.zeros(3)), steady.hand: (-up, -np.cross(lever, up))}
+            paths = {}
+            for hand, (push, twist) in loads.items():
+                there = starts[hand] + _deflection(hand, starts[hand], push, twist)
+                paths[hand] = np.linspace(hand.joints, there, CLOSING_TICKS + 1)
             yield context.make_segment(paths)
             if self._is_open(context, thing):
                 return
+
+
+def _deflection(hand: Hand, joints: Array, force: Array, torque: Array) -> Array:
+    """Return by how much commanded joints (dof,) have to differ from `joints` for a hand to press, rad.
+
+    Args:
+        force, torque: (3,) that the hand exerts at its pinch frame, in `world`, N and N m.
+    """
+    T, efforts = hand.pinch_pose(joints), np.empty(len(joints))
+    for k in range(len(joints)):
+        moved = joints.copy()
+        moved[k] += _DIFFERENCE
+        T_moved = hand.pinch_pose(moved)
+        turn = rotation_vector(T_moved[:3, :3] @ T[:3, :3].T)
+        efforts[k] = ((T_moved[:3, 3] - T[:3, 3]) @ force + turn @ torque) / _DIFFERENCE
+    offset: Array = efforts / hand.arm.position_gain
+    return offset
 
 
 def _reaches(
