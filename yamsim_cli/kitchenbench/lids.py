@@ -164,7 +164,8 @@ def _snap_container(base: ObjectConfig, lid: ObjectConfig, force: float) -> dict
     assert isinstance(base.shape, ContainerShape) and isinstance(lid.shape, LidShape)
     length, _, height = (side / 1000 for side in base.shape.size_mm)
     rgba = base.shape.materials["body"].rgba
-    ears, handles = [], []
+    ears: list[dict[str, Any]] = []
+    handles: list[dict[str, Any]] = []
     for side in (1.0, -1.0):
         centre = [side * (length + _EAR[0]) / 2, 0.0, height - _EAR_DROP - _EAR[2] / 2]
         ears.append({"type": "box", "centre": centre, "half_size": [size / 2 for size in _EAR], "rgba": rgba})

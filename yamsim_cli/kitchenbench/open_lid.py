@@ -83,7 +83,7 @@ class OpenLid(Skill):
         yield _close_fingers(context, steady)
         yield from _approach(context, grip)
         if link.joint.type == "screw":
-            yield from self._unscrew(context, thing, link, grip, turn)
+            yield from self._unscrew(context, thing, link, grip, steady, turn)
         else:
             yield from self._pull(context, thing, grip, steady)
         opened = context.world.joint_opening(thing, LID)
@@ -129,29 +129,35 @@ class OpenLid(Skill):
         return best[1], best[2], best[0]
 
     def _unscrew(
-        self, context: PlanningContext, thing: str, link: Link, grip: _Reach, turn: float
+        self, context: PlanningContext, thing: str, link: Link, grip: _Reach, steady: _Reach, turn: float
     ) -> Iterator[MotionSegment]:
-        """Yield the turns of a hand up to `turn`, rad. In between, the hand turns back with open fingers."""
+        """Yield the turns of a hand up to `turn`, rad. In between, the hand turns back with open fingers.
+
+        The commands of both hands include the deflection by the lid's torque.
+        """
         hand, whole, lead = grip.hand, math.radians(link.joint.range[1]), (link.joint.pitch or 0.0) / (2 * math.pi)
-        rise = 0.0  # m, of the lid
+        rise, torque = 0.0, np.array([0.0, 0.0, link.joint.friction])  # of the lid, m and N m
+        relaxed = steady.hand.joints.copy()
+        firm = relaxed + _deflection(steady.hand, relaxed, np.zeros(3), -torque)
         for _ in range(_MAX_TURNS):
             before = context.world.joint_opening(thing, LID) * whole
             yield _close_fingers(context, grip)
             # The lid lags behind the hand by a little.
             angle = min(turn, ((self.to + 0.05) * whole - before) * 1.05)
             higher = rise + lead * angle
-            path = _turn_path(context, grip, (0.0, angle), (rise, higher), _FORWARD_STEPS)
-            yield context.make_segment({hand: path})
+            path = _turn_path(context, grip, (0.0, angle), (rise, higher), _FORWARD_STEPS, torque)
+            braced = np.linspace(relaxed, firm, CLOSING_TICKS + 1)
+            yield context.make_segment({hand: path, steady.hand: braced})
             gained = context.world.joint_opening(thing, LID) * whole - before
             if self._is_open(context, thing) or gained < _MIN_GAIN * angle:
                 return
             yield context.make_segment(
-                {hand: context.hold_still_motion(hand, CLOSING_TICKS)},
+                {hand: context.hold_still_motion(hand, CLOSING_TICKS), steady.hand: braced[::-1]},
                 {hand: FingerTarget(grip.opening)},
                 wait_for_arrival=False,
             )
             rise += lead * gained
-            path = _turn_path(context, grip, (angle, 0.0), (higher, rise), _BACKWARD_STEPS)
+            path = _turn_path(context, grip, (angle, 0.0), (higher, rise), _BACKWARD_STEPS, np.zeros(3))
             yield context.make_segment({hand: path}, wait_for_arrival=False)
 
     def _pull(self, context: PlanningContext, thing: str, grip: _Reach, steady: _Reach) -> Iterator[MotionSegment]:
@@ -278,6 +284,7 @@ def _turn_path(
     angles: tuple[float, float],
     rises: tuple[float, float],
     steps: tuple[float, float],
+    torque: Array,
 ) -> Array:
     """Return a motion (n + 1, dof) that turns a hand about the vertical through its pinch.
 
@@ -288,19 +295,21 @@ def _turn_path(
         angles: first and last angle from `grip`, rad.
         rises: first and last height over `grip`, m.
         steps: largest angle between two postures, of hands that point down and of others, rad.
+        torque: (3,) that the hand exerts, in `world`, N m.
     """
     hand, points_down = grip.hand, grip.T_pinch[2, 2] < -_POINTS_DOWN
     count = max(math.ceil(abs(angles[1] - angles[0]) / steps[0 if points_down else 1]), 1)
-    rows = [hand.joints[None]]
+    rows, last = [hand.joints[None]], hand.joints
     for share in np.linspace(0.0, 1.0, count + 1)[1:]:
         T_pinch = grip.T_pinch.copy()
         T_pinch[:3, :3] = rotation_z(angles[0] + share * (angles[1] - angles[0])) @ T_pinch[:3, :3]
         T_pinch[2, 3] += rises[0] + share * (rises[1] - rises[0])
-        last = rows[-1][-1]
         there = hand.solve_ik(T_pinch, (last,))
         if there is None or np.abs(there - last).max() > _MAX_STEP_OF_PATH:
             raise SkillFailedError(FailureCause.UNREACHABLE, f"a turn of the lid leaves the {hand.side} arm's reach")
-        rows.append(np.linspace(last, there, CLOSING_TICKS + 1)[1:])
+        pressed = there + _deflection(hand, there, np.zeros(3), torque)
+        rows.append(np.linspace(rows[-1][-1], pressed, CLOSING_TICKS + 1)[1:])
+        last = there
     return np.concatenate(rows)
 
 
