@@ -200,7 +200,7 @@ def _snap_container(base: ObjectConfig, lid: ObjectConfig, force: float) -> dict
 
 def _flat_ear_handles(side: float, position: list[float]) -> Iterator[dict[str, Any]]:
     """Yield handles at an ear, for hands that come from the side and whose fingers close from above and below."""
-    for azimuth, pitch in itertools.product(_FLAT_AZIMUTHS, _FLAT_PITCHES):
+    for pitch, azimuth in itertools.product(_FLAT_PITCHES, _FLAT_AZIMUTHS):
         turn, down = math.radians(azimuth), math.radians(pitch)
         x, y = -side * math.cos(turn), -math.sin(turn)
         name = f"ear_{'front' if side > 0 else 'back'}_flat_{azimuth}_{pitch}".replace("-", "minus_")

@@ -35,7 +35,7 @@ _MAX_STEP_OF_PATH = 1.6  # rad, of a joint between two of these postures; more i
 _TURN_STEP = math.radians(8)  # rad, between the angles of a turn at which contacts are checked
 _START_STEPS = 2  # steps of a turn between grasps that are tried to begin it
 _SIMILAR_TURN = math.radians(5)  # rad; a longer turn is preferred if it gains more than this
-_SIMILAR_LEVER = 0.002  # m; between levers that differ by less, the first handle of the container is preferred
+_SIMILAR_LEVER = 0.002  # m; levers that differ by less count as equal
 _APPROACH_CHECKS = 4  # postures of an approach at which contacts are checked
 _MIN_TURN = math.radians(25)  # rad, shortest turn of a hand that is tried
 _MIN_GAIN = 0.1  # share of the hand's turn by which the lid has to turn; else it slips between the fingers
@@ -78,7 +78,10 @@ class OpenLid(Skill):
         if self._is_open(context, thing):
             return
         link = next(link for link in context.object_configs[thing].links if link.name == LID)
-        steady, grip, turn = self._find_grasps(context, thing, link)
+        if link.joint.type == "screw":
+            steady, grip, turn = self._find_turn(context, thing, link)
+        else:
+            steady, grip = self._find_pull(context, thing, link)
         yield from _approach(context, steady)
         yield _close_fingers(context, steady)
         yield from _approach(context, grip)
@@ -98,7 +101,29 @@ class OpenLid(Skill):
     def _is_open(self, context: PlanningContext, thing: str) -> bool:
         return context.world.joint_opening(thing, LID) >= self.to
 
-    def _find_grasps(self, context: PlanningContext, thing: str, link: Link) -> tuple[_Reach, _Reach, float]:
+    def _find_pull(self, context: PlanningContext, thing: str, link: Link) -> tuple[_Reach, _Reach]:
+        """Return grasps of the container and of its lid that leave both hands room.
+
+        A lid that is pulled near the hand that steadies tips the container least. Among such grasps, the first handles
+        of the container are preferred.
+        """
+        T_lid, T_base = context.world.part_pose(thing, LID), context.world.pose(thing)
+        handles = context.object_configs[thing].handles
+        pairs: list[tuple[int, int, _Reach, _Reach]] = []
+        fault = "no two arms reach it and its lid without contact"
+        for opener, steadier in itertools.permutations(context.free_hands("any"), 2):
+            grips = list(_reaches(context, opener, thing, link.handles, T_lid))
+            if not grips:
+                fault = f"the {opener.side} arm does not reach its lid"
+            for steady, grip in itertools.product(_reaches(context, steadier, thing, handles, T_base), grips):
+                lever = float(np.linalg.norm((grip.T_pinch - steady.T_pinch)[:2, 3]))
+                pairs.append((round(lever / _SIMILAR_LEVER), handles.index(steady.handle), steady, grip))
+        for _, _, steady, grip in sorted(pairs, key=lambda pair: pair[:2]):
+            if _can_approach(context, steady, thing, grip):
+                return steady, grip
+        raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to open the {thing}: {fault}")
+
+    def _find_turn(self, context: PlanningContext, thing: str, link: Link) -> tuple[_Reach, _Reach, float]:
         """Return grasps of the container and of its lid that leave both hands room, and the angle of a turn, rad."""
         T_lid, T_base = context.world.part_pose(thing, LID), context.world.pose(thing)
         best: tuple[float, _Reach, _Reach] | None = None
@@ -108,18 +133,8 @@ class OpenLid(Skill):
             if not grips:
                 fault = f"the {opener.side} arm does not reach its lid"
                 continue
-            if link.joint.type == "screw":
-                turns = list(_possible_turns(grips))
+            turns = list(_possible_turns(grips))
             for steady in _reaches(context, steadier, thing, context.object_configs[thing].handles, T_base):
-                if link.joint.type != "screw":
-                    # A lid that is pulled near the hand that steadies tips the container least.
-                    grips.sort(key=lambda grip: float(np.linalg.norm(grip.T_pinch[:3, 3] - steady.T_pinch[:3, 3])))
-                    for grip in grips:
-                        lever = float(np.linalg.norm((grip.T_pinch - steady.T_pinch)[:2, 3]))
-                        shorter = best is None or lever < -best[0] - _SIMILAR_LEVER
-                        if shorter and _can_approach(context, steady, thing, grip):
-                            best = (-lever, steady, grip)
-                    continue
                 for postures in turns:
                     found = _longest_turn(context, steady, thing, postures)
                     if found is not None and (best is None or found[0] > best[0] + _SIMILAR_TURN):
