@@ -42,7 +42,7 @@ def run_expert_by_options(doc: str, options: Mapping[str, str]) -> bool:
         options: option -> the benchmark's task.
     """
     parser = argparse.ArgumentParser(description=doc.splitlines()[0])
-    scenes = {option: _scenes_of(task) for option, task in options.items()}
+    scenes = {option: scenes_of(task) for option, task in options.items()}
     for option, found in scenes.items():
         parser.add_argument(f"--{option}", nargs="*", metavar="SCENE", help=f"all, or some of: {', '.join(found)}")
     parser.add_argument("--realizations", nargs="*", type=int, default=[0])
@@ -62,7 +62,7 @@ def run_expert_by_options(doc: str, options: Mapping[str, str]) -> bool:
     return any(given[option] is not None for option in options)
 
 
-def _scenes_of(task: str) -> dict[str, Any]:
+def scenes_of(task: str) -> dict[str, Any]:
     """Return short name -> scene of a task."""
     return {scene.id.removeprefix(f"{task.replace('_', '-')}-"): scene for scene in tasks.TASK_FACTORIES[task]().scenes}
 
@@ -88,7 +88,7 @@ def solve(scene: Any, seed: int, number: int) -> bool:
 def hold_still() -> None:
     """Build the scenes, and print what is in source and vessel after a second."""
     base = open_station_session("64x48", images=False)
-    for scene in (scene for task in _TASKS.values() for scene in _scenes_of(task).values()):
+    for scene in (scene for task in _TASKS.values() for scene in scenes_of(task).values()):
         blueprint, begin = build_blueprint(scene, derive_seed(0, scene.init_seed, 0)), time.process_time()
         realized = build_benchmark_scene(blueprint, base)
         built = time.process_time() - begin
