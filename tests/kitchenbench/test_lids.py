@@ -13,10 +13,12 @@ from inspect_robots.rollout import derive_seed
 from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint
 
+from tools.bench.lids import opening_efforts
 from yamsim_cli.core.expert.skills.pick import Pick, ReachableGrasp
 from yamsim_cli.core.expert.skills.place import Place
+from yamsim_cli.core.geometry.se3 import tilt_angle
 from yamsim_cli.kitchenbench.benchmark_scene import BenchmarkScene, build_benchmark_scene, open_station_session
-from yamsim_cli.kitchenbench.policy import PlanningScene
+from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
 from yamsim_cli.kitchenbench.success_judges import KitchenJudge
 
@@ -113,6 +115,49 @@ def test_the_expert_opens_a_lid_with_one_hand_while_the_other_steadies_the_conta
         )
     finally:
         planning.close()
+
+
+def test_two_hands_pull_a_lid_off_stiff_clips_and_the_container_does_not_tip() -> None:
+    built, seed = _build("open_container", "snap-lid", 3)
+    assert float(built.blueprint.conditions["pry_force_n"]) > 19
+    planning = PlanningScene(built, seed, 10)
+    try:
+        judge = KitchenJudge(built, planning.motion)
+        tilts, actions = [], 0
+        while actions < 40 and not judge.evaluate()[0]:
+            tilts.append(math.degrees(tilt_angle(judge.world.scene.pose("container")[:3, :3])))
+            actions += len(planning.next_actions())
+        assert judge.evaluate()[0], judge.evaluate()[1]
+        # If commands leave out the deflection of the arms by the clips' force, the container tips by 10 degrees.
+        assert max(tilts) < 3
+    finally:
+        planning.close()
+
+
+@pytest.mark.slow
+def test_turns_of_a_stiff_lid_are_not_shorter_than_those_of_the_hand() -> None:
+    built, seed = _build("open_container", "stiff-jar", 2)
+    planning = PlanningScene(built, seed, 10)
+    try:
+        # Without the deflection of the arms by 2.4 N m, this takes 78 actions.
+        assert run_expert(planning, KitchenJudge(built, planning.motion), 120) <= 65
+    finally:
+        planning.close()
+
+
+def test_curves_of_lids_have_the_efforts_that_the_scene_requires() -> None:
+    for instance, places, key in (("bottle-cap", [0.0, 5.0], "lid_torque_nm"), ("snap-lid", [0.0015], "pry_force_n")):
+        built, _ = _build("open_container", instance)
+        try:
+            container = built.blueprint.roles["container"][0]
+            joint = built.object_configs[container].links[0].joint
+            wanted = float(built.blueprint.conditions[key])
+            efforts = opening_efforts(built, container, joint, np.array(places))
+            # The lids weigh up to 0.9 N, and are damped.
+            assert efforts == pytest.approx(wanted, rel=0.08)
+            assert (efforts > wanted).all()
+        finally:
+            built.simulator.close()
 
 
 def test_a_jar_wider_than_the_gripper_opens_is_refused_with_the_reason(caplog: pytest.LogCaptureFixture) -> None:
