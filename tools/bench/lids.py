@@ -45,13 +45,13 @@ def print_curve(name: str, count: int) -> None:
     container = blueprint.roles["container"][0]
     asset = next(item.asset for item in blueprint.objects if item.name == container)
     joint = next(link for link in built.object_configs[container].links if link.name == LID).joint
-    turns, opens = joint.type == "screw", joint.range[1]
-    places = np.linspace(0.0, math.radians(opens) if turns else opens, count + 1)[:-1]
-    if not turns:  # over the clips only
-        places = np.linspace(0.0, joint.detents[0].at + joint.detents[0].width / 2, count)
+    if joint.type == "screw":
+        unit, last, scale = "N m at degrees", math.radians(joint.range[1]), math.degrees(1)
+    else:  # over the clips only
+        unit, last, scale = "N at mm", joint.detents[0].at + joint.detents[0].width / 2, 1000
+    places = np.linspace(0.0, last, count)
     efforts = opening_efforts(built, container, joint, places)
-    unit, shown = ("N m at degrees", np.degrees(places)) if turns else ("N at mm", 1000 * places)
-    curve = ", ".join(f"{effort:.2f} at {place:.1f}" for place, effort in zip(shown, efforts, strict=True))
+    curve = ", ".join(f"{effort:.2f} at {scale * place:.1f}" for place, effort in zip(places, efforts, strict=True))
     print(f"{scene.id}, lid of a {asset}, {unit}: {curve}")
     built.simulator.close()
 
