@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Mapping
 from typing import Any
 
 from inspect_robots.rollout import derive_seed
@@ -29,17 +30,25 @@ _TASKS = {"pour": "pour_pasta", "scoop": "scoop_pasta"}  # option -> the benchma
 
 def main() -> None:
     """Measure from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    scenes = {option: _scenes_of(task) for option, task in _TASKS.items()}
+    if not run_expert_by_options(__doc__, _TASKS):
+        hold_still()
+
+
+def run_expert_by_options(doc: str, options: Mapping[str, str]) -> bool:
+    """Let the expert act in the scenes that the command line names, and return whether it names any.
+
+    Args:
+        doc: the tool's documentation; its first line is the description.
+        options: option -> the benchmark's task.
+    """
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
+    scenes = {option: scenes_of(task) for option, task in options.items()}
     for option, found in scenes.items():
         parser.add_argument(f"--{option}", nargs="*", metavar="SCENE", help=f"all, or some of: {', '.join(found)}")
     parser.add_argument("--realizations", nargs="*", type=int, default=[0])
     parser.add_argument("--seed", type=int, default=0)
     given = vars(parser.parse_args())
-    if all(given[option] is None for option in _TASKS):
-        hold_still()
-        return
-    for option, task in _TASKS.items():
+    for option, task in options.items():
         if given[option] is None:
             continue
         if unknown := set(given[option]) - scenes[option].keys():
@@ -50,9 +59,10 @@ def main() -> None:
             for number in given["realizations"]
         ]
         print(f"{task}: {sum(solved)} of {len(solved)}")
+    return any(given[option] is not None for option in options)
 
 
-def _scenes_of(task: str) -> dict[str, Any]:
+def scenes_of(task: str) -> dict[str, Any]:
     """Return short name -> scene of a task."""
     return {scene.id.removeprefix(f"{task.replace('_', '-')}-"): scene for scene in tasks.TASK_FACTORIES[task]().scenes}
 
@@ -78,7 +88,7 @@ def solve(scene: Any, seed: int, number: int) -> bool:
 def hold_still() -> None:
     """Build the scenes, and print what is in source and vessel after a second."""
     base = open_station_session("64x48", images=False)
-    for scene in (scene for task in _TASKS.values() for scene in _scenes_of(task).values()):
+    for scene in (scene for task in _TASKS.values() for scene in scenes_of(task).values()):
         blueprint, begin = build_blueprint(scene, derive_seed(0, scene.init_seed, 0)), time.process_time()
         realized = build_benchmark_scene(blueprint, base)
         built = time.process_time() - begin

@@ -14,7 +14,7 @@ from ..core.config.loader import load_config
 from ..core.config.objects.cloth import Cloth, object_keys_from_cloth
 from ..core.config.objects.generated import object_from_shape
 from ..core.config.objects.object_config import ObjectConfig
-from ..core.config.objects.shapes import VesselShape
+from ..core.config.objects.shapes import CapShape, VesselShape
 from ..core.config.scene import Table
 from ..core.files.resources import Locations
 from ..core.geometry.se3 import Array
@@ -42,6 +42,8 @@ _COURGETTE_WIDTH = 55.0  # mm, of long produce; fingers could not hold a tomato 
 _COURGETTE_BODY = {"stuff": "fruit", "rgba": [0.24, 0.42, 0.16, 1], "specular": 0.3, "shininess": 0.4}
 
 _RIM_GRASP_DEPTH = 0.012  # m below a cup's rim, of the grasp for nesting the cup
+# m below the top of a screw lid on the table, of its grasp: at half its height, the pads would be 0.8 mm over the table
+_SCREW_LID_GRASP_DEPTH = 0.001
 _RACK_LENGTH_WITHOUT_SLOTS = 40.0  # mm of a rack's length without slots
 _SCALED_KEYS = (
     "diameter_mm",
@@ -119,7 +121,8 @@ def container_config_of(item: SceneObject, blueprint: SceneBlueprint, locations:
         return object_config_of(item, blueprint.conditions, locations)
     container = next(one for one in blueprint.objects if one.name == item.parent)
     base = object_config_of(container, blueprint.conditions, locations)
-    return _lid_config_of(container, base, locations).with_name(item.name)
+    lid = _lid_config_of(container, base, locations).with_name(item.name)
+    return _grasped_near_top(lid) if isinstance(lid.shape, CapShape) else lid
 
 
 def _lid_config_of(container: SceneObject, base: ObjectConfig, locations: Locations) -> ObjectConfig:
@@ -134,6 +137,16 @@ def _lid_config_of(container: SceneObject, base: ObjectConfig, locations: Locati
         return with_shape(lid, data)
     factor = (container.size_cm or 0.0) / ASSETS[container.asset].footprint_w_cm or 1.0
     return with_shape(lid, {**data, **_scaled_sizes(data, factor)})
+
+
+def _grasped_near_top(lid: ObjectConfig) -> ObjectConfig:
+    """Return a screw lid that lies on the table, with its grasp points just below its top."""
+    assert isinstance(lid.shape, CapShape)
+    data = lid.model_dump(mode="json", exclude_none=True)
+    friction, at = data["grasp"]["friction"], [0.0, 0.0, lid.shape.height_mm / 1000 - _SCREW_LID_GRASP_DEPTH]
+    points = [{**point, "position": at} for point in friction["points"]]
+    grasp = {**data["grasp"], "position": at, "friction": {**friction, "points": points}}
+    return ObjectConfig.model_validate({**data, "grasp": grasp})
 
 
 def shape_data(item: ObjectConfig) -> dict[str, Any]:

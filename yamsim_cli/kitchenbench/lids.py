@@ -40,6 +40,8 @@ _SNAP_DAMPING, _SNAP_ARMATURE = 2.0, 0.05  # N s/m and kg
 _EAR = (0.024, 0.060, 0.030)  # m, length, width and height of the ear at each end of a food container
 _EAR_DROP = 0.002  # m, from the container's rim down to the ears
 _EAR_OUTWARD = 0.004  # m, from an ear's centre to the pads that hold it, so that fingers clear the wall
+_FLAT_AZIMUTHS = (0, 30, -30, 60, -60)  # degrees from the container's length, of hands whose fingers close vertically
+_FLAT_PITCHES = (10, 20)  # degrees down from horizontal, of these hands at an ear
 _BAR_LENGTH_MM = 90.0  # mm, of a snap lid's bar, along the container
 _SNAP_TILTS = (0, 15, 30, 45, 60)  # degrees from vertical, of hands at an ear and at the bar; the hands lean apart
 _BAR_WIDTH = 0.026  # m, of a snap lid's bar: the pads press harder on wider things
@@ -162,11 +164,13 @@ def _snap_container(base: ObjectConfig, lid: ObjectConfig, force: float) -> dict
     assert isinstance(base.shape, ContainerShape) and isinstance(lid.shape, LidShape)
     length, _, height = (side / 1000 for side in base.shape.size_mm)
     rgba = base.shape.materials["body"].rgba
-    ears, handles = [], []
+    ears: list[dict[str, Any]] = []
+    handles: list[dict[str, Any]] = []
     for side in (1.0, -1.0):
         centre = [side * (length + _EAR[0]) / 2, 0.0, height - _EAR_DROP - _EAR[2] / 2]
         ears.append({"type": "box", "centre": centre, "half_size": [size / 2 for size in _EAR], "rgba": rgba})
         grasped = [centre[0] + side * _EAR_OUTWARD, *centre[1:]]
+        handles += _flat_ear_handles(side, grasped)
         for tilt in _SNAP_TILTS:
             # The hand leans away from the lid.
             lean, name = math.radians(tilt), f"ear_{'front' if side > 0 else 'back'}_{tilt}"
@@ -192,6 +196,21 @@ def _snap_container(base: ObjectConfig, lid: ObjectConfig, force: float) -> dict
         "handles": handles,
         "links": [_lid_link(lid, [0.0, 0.0, height - low], joint, grips)],
     }
+
+
+def _flat_ear_handles(side: float, position: list[float]) -> Iterator[dict[str, Any]]:
+    """Yield handles at an ear, for hands that come from the side and whose fingers close from above and below."""
+    for pitch, azimuth in itertools.product(_FLAT_PITCHES, _FLAT_AZIMUTHS):
+        turn, down = math.radians(azimuth), math.radians(pitch)
+        x, y = -side * math.cos(turn), -math.sin(turn)
+        name = f"ear_{'front' if side > 0 else 'back'}_flat_{azimuth}_{pitch}".replace("-", "minus_")
+        yield {
+            "name": name,
+            "position": position,
+            "approach": [x * math.cos(down), y * math.cos(down), -math.sin(down)],
+            "axis": [-x * math.sin(down), -y * math.sin(down), -math.cos(down)],
+            "opening": _EAR[2] / 2,
+        }
 
 
 def _lid_link(lid: ObjectConfig, at: list[float], joint: dict[str, Any], handles: list[dict[str, Any]]) -> Any:

@@ -19,7 +19,7 @@ from ..core.expert.skills.grasp_candidates import is_orientation_plausible
 from ..core.expert.skills.hand import WAYPOINT_TOLERANCE, Hand
 from ..core.expert.skills.planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from ..core.expert.skills.skill import Skill
-from ..core.geometry.se3 import Array, pose, rotation_from_vector, rotation_z
+from ..core.geometry.se3 import Array, pose, rotation_from_vector, rotation_vector, rotation_z
 from .lids import LID
 
 _FORCE = 50.0  # N, asked of each finger. Source: I2RT's SDK limits grippers to 50 N per finger
@@ -35,14 +35,13 @@ _MAX_STEP_OF_PATH = 1.6  # rad, of a joint between two of these postures; more i
 _TURN_STEP = math.radians(8)  # rad, between the angles of a turn at which contacts are checked
 _START_STEPS = 2  # steps of a turn between grasps that are tried to begin it
 _SIMILAR_TURN = math.radians(5)  # rad; a longer turn is preferred if it gains more than this
+_SIMILAR_LEVER = 0.002  # m; levers that differ by less count as equal
 _APPROACH_CHECKS = 4  # postures of an approach at which contacts are checked
 _MIN_TURN = math.radians(25)  # rad, shortest turn of a hand that is tried
 _MIN_GAIN = 0.1  # share of the hand's turn by which the lid has to turn; else it slips between the fingers
 _MAX_TURNS = 14  # grasps of a screw lid
-_PULL_SPEED = 0.05  # m/s
-_MAX_PRESS = 0.07  # m, of the command of the hand that steadies, below its grasp
-# m and count, of pulls that each go farther: both arms yield by 2 to 3 mm per newton
-_EXTRA_PULL, _MAX_PULLS = 0.02, 6
+_FORCE_STEP, _MAX_PULL = 5.0, 30.0  # N, of pulls at a snap lid, each of which is stronger; pads slip above 30 N
+_DIFFERENCE = 1e-5  # rad, of the joints between two poses whose difference gives a Jacobian
 
 
 @dataclass(frozen=True)
@@ -79,14 +78,17 @@ class OpenLid(Skill):
         if self._is_open(context, thing):
             return
         link = next(link for link in context.object_configs[thing].links if link.name == LID)
-        steady, grip, turn = self._find_grasps(context, thing, link)
+        if link.joint.type == "screw":
+            steady, grip, turn = self._find_turn(context, thing, link)
+        else:
+            steady, grip = self._find_pull(context, thing, link)
         yield from _approach(context, steady)
         yield _close_fingers(context, steady)
         yield from _approach(context, grip)
         if link.joint.type == "screw":
-            yield from self._unscrew(context, thing, link, grip, turn)
+            yield from self._unscrew(context, thing, link, grip, steady, turn)
         else:
-            yield from self._pull(context, thing, link, grip, steady)
+            yield from self._pull(context, thing, grip, steady)
         opened = context.world.joint_opening(thing, LID)
         for reach in (grip, steady):
             yield from release_and_retreat(context, reach.hand, _CLEARANCE)
@@ -99,7 +101,29 @@ class OpenLid(Skill):
     def _is_open(self, context: PlanningContext, thing: str) -> bool:
         return context.world.joint_opening(thing, LID) >= self.to
 
-    def _find_grasps(self, context: PlanningContext, thing: str, link: Link) -> tuple[_Reach, _Reach, float]:
+    def _find_pull(self, context: PlanningContext, thing: str, link: Link) -> tuple[_Reach, _Reach]:
+        """Return grasps of the container and of its lid that leave both hands room.
+
+        A lid that is pulled near the hand that steadies tips the container least. Among such grasps, the first handles
+        of the container are preferred.
+        """
+        T_lid, T_base = context.world.part_pose(thing, LID), context.world.pose(thing)
+        handles = context.object_configs[thing].handles
+        pairs: list[tuple[int, int, _Reach, _Reach]] = []
+        fault = "no two arms reach it and its lid without contact"
+        for opener, steadier in itertools.permutations(context.free_hands("any"), 2):
+            grips = list(_reaches(context, opener, thing, link.handles, T_lid))
+            if not grips:
+                fault = f"the {opener.side} arm does not reach its lid"
+            for steady, grip in itertools.product(_reaches(context, steadier, thing, handles, T_base), grips):
+                lever = float(np.linalg.norm((grip.T_pinch - steady.T_pinch)[:2, 3]))
+                pairs.append((round(lever / _SIMILAR_LEVER), handles.index(steady.handle), steady, grip))
+        for _, _, steady, grip in sorted(pairs, key=lambda pair: pair[:2]):
+            if _can_approach(context, steady, thing, grip):
+                return steady, grip
+        raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to open the {thing}: {fault}")
+
+    def _find_turn(self, context: PlanningContext, thing: str, link: Link) -> tuple[_Reach, _Reach, float]:
         """Return grasps of the container and of its lid that leave both hands room, and the angle of a turn, rad."""
         T_lid, T_base = context.world.part_pose(thing, LID), context.world.pose(thing)
         best: tuple[float, _Reach, _Reach] | None = None
@@ -109,17 +133,8 @@ class OpenLid(Skill):
             if not grips:
                 fault = f"the {opener.side} arm does not reach its lid"
                 continue
-            if link.joint.type == "screw":
-                turns = list(_possible_turns(grips))
+            turns = list(_possible_turns(grips))
             for steady in _reaches(context, steadier, thing, context.object_configs[thing].handles, T_base):
-                if link.joint.type != "screw":
-                    # A lid that is pulled near the hand that steadies tips the container least.
-                    grips.sort(key=lambda grip: float(np.linalg.norm(grip.T_pinch[:3, 3] - steady.T_pinch[:3, 3])))
-                    for grip in grips:
-                        lever = float(np.linalg.norm((grip.T_pinch - steady.T_pinch)[:2, 3]))
-                        if (best is None or lever < -best[0]) and _can_approach(context, steady, thing, grip):
-                            best = (-lever, steady, grip)
-                    continue
                 for postures in turns:
                     found = _longest_turn(context, steady, thing, postures)
                     if found is not None and (best is None or found[0] > best[0] + _SIMILAR_TURN):
@@ -129,48 +144,70 @@ class OpenLid(Skill):
         return best[1], best[2], best[0]
 
     def _unscrew(
-        self, context: PlanningContext, thing: str, link: Link, grip: _Reach, turn: float
+        self, context: PlanningContext, thing: str, link: Link, grip: _Reach, steady: _Reach, turn: float
     ) -> Iterator[MotionSegment]:
-        """Yield the turns of a hand up to `turn`, rad. In between, the hand turns back with open fingers."""
+        """Yield the turns of a hand up to `turn`, rad. In between, the hand turns back with open fingers.
+
+        The commands of both hands include the deflection by the lid's torque.
+        """
         hand, whole, lead = grip.hand, math.radians(link.joint.range[1]), (link.joint.pitch or 0.0) / (2 * math.pi)
-        rise = 0.0  # m, of the lid
+        rise, torque = 0.0, np.array([0.0, 0.0, link.joint.friction])  # of the lid, m and N m
+        relaxed = steady.hand.joints.copy()
+        firm = relaxed + _deflection(steady.hand, relaxed, np.zeros(3), -torque)
         for _ in range(_MAX_TURNS):
             before = context.world.joint_opening(thing, LID) * whole
             yield _close_fingers(context, grip)
             # The lid lags behind the hand by a little.
             angle = min(turn, ((self.to + 0.05) * whole - before) * 1.05)
             higher = rise + lead * angle
-            path = _turn_path(context, grip, (0.0, angle), (rise, higher), _FORWARD_STEPS)
-            yield context.make_segment({hand: path})
+            path = _turn_path(context, grip, (0.0, angle), (rise, higher), _FORWARD_STEPS, torque)
+            braced = np.linspace(relaxed, firm, CLOSING_TICKS + 1)
+            yield context.make_segment({hand: path, steady.hand: braced})
             gained = context.world.joint_opening(thing, LID) * whole - before
             if self._is_open(context, thing) or gained < _MIN_GAIN * angle:
                 return
             yield context.make_segment(
-                {hand: context.hold_still_motion(hand, CLOSING_TICKS)},
+                {hand: context.hold_still_motion(hand, CLOSING_TICKS), steady.hand: braced[::-1]},
                 {hand: FingerTarget(grip.opening)},
                 wait_for_arrival=False,
             )
             rise += lead * gained
-            path = _turn_path(context, grip, (angle, 0.0), (higher, rise), _BACKWARD_STEPS)
+            path = _turn_path(context, grip, (angle, 0.0), (higher, rise), _BACKWARD_STEPS, np.zeros(3))
             yield context.make_segment({hand: path}, wait_for_arrival=False)
 
-    def _pull(
-        self, context: PlanningContext, thing: str, link: Link, grip: _Reach, steady: _Reach
-    ) -> Iterator[MotionSegment]:
-        """Yield the motions of two hands: one pulls a lid up, the other presses the container onto the table."""
-        travel = (self.to + 0.05) * link.joint.range[1]
+    def _pull(self, context: PlanningContext, thing: str, grip: _Reach, steady: _Reach) -> Iterator[MotionSegment]:
+        """Yield motions in which one hand pulls a lid up, more each time, and the other holds the container down."""
         yield _close_fingers(context, grip)
-        for number in range(_MAX_PULLS):
-            T_up, T_down = grip.T_pinch.copy(), steady.T_pinch.copy()
-            T_up[2, 3] += travel + number * _EXTRA_PULL
-            T_down[2, 3] -= min((number + 1) * _EXTRA_PULL, _MAX_PRESS)
-            paths = {
-                grip.hand: context.plan_line(grip.hand, T_up, _PULL_SPEED),
-                steady.hand: context.plan_line(steady.hand, T_down, _PULL_SPEED),
-            }
+        lever = grip.T_pinch[:3, 3] - steady.T_pinch[:3, 3]
+        starts = {reach.hand: reach.hand.joints.copy() for reach in (grip, steady)}
+        for force in np.arange(_FORCE_STEP, _MAX_PULL + _FORCE_STEP / 2, _FORCE_STEP):
+            up = np.array([0.0, 0.0, force])
+            # The hand that steadies also keeps the container from tipping towards the hand that pulls.
+            loads = {grip.hand: (up, np.zeros(3)), steady.hand: (-up, -np.cross(lever, up))}
+            paths = {}
+            for hand, (push, twist) in loads.items():
+                there = starts[hand] + _deflection(hand, starts[hand], push, twist)
+                paths[hand] = np.linspace(hand.joints, there, CLOSING_TICKS + 1)
             yield context.make_segment(paths)
             if self._is_open(context, thing):
                 return
+
+
+def _deflection(hand: Hand, joints: Array, force: Array, torque: Array) -> Array:
+    """Return by how much commanded joints (dof,) have to differ from `joints` for a hand to press, rad.
+
+    Args:
+        force, torque: (3,) that the hand exerts at its pinch frame, in `world`, N and N m.
+    """
+    T, efforts = hand.pinch_pose(joints), np.empty(len(joints))
+    for k in range(len(joints)):
+        moved = joints.copy()
+        moved[k] += _DIFFERENCE
+        T_moved = hand.pinch_pose(moved)
+        turn = rotation_vector(T_moved[:3, :3] @ T[:3, :3].T)
+        efforts[k] = ((T_moved[:3, 3] - T[:3, 3]) @ force + turn @ torque) / _DIFFERENCE
+    offset: Array = efforts / hand.arm.position_gain
+    return offset
 
 
 def _reaches(
@@ -262,6 +299,7 @@ def _turn_path(
     angles: tuple[float, float],
     rises: tuple[float, float],
     steps: tuple[float, float],
+    torque: Array,
 ) -> Array:
     """Return a motion (n + 1, dof) that turns a hand about the vertical through its pinch.
 
@@ -272,19 +310,21 @@ def _turn_path(
         angles: first and last angle from `grip`, rad.
         rises: first and last height over `grip`, m.
         steps: largest angle between two postures, of hands that point down and of others, rad.
+        torque: (3,) that the hand exerts, in `world`, N m.
     """
     hand, points_down = grip.hand, grip.T_pinch[2, 2] < -_POINTS_DOWN
     count = max(math.ceil(abs(angles[1] - angles[0]) / steps[0 if points_down else 1]), 1)
-    rows = [hand.joints[None]]
+    rows, last = [hand.joints[None]], hand.joints
     for share in np.linspace(0.0, 1.0, count + 1)[1:]:
         T_pinch = grip.T_pinch.copy()
         T_pinch[:3, :3] = rotation_z(angles[0] + share * (angles[1] - angles[0])) @ T_pinch[:3, :3]
         T_pinch[2, 3] += rises[0] + share * (rises[1] - rises[0])
-        last = rows[-1][-1]
         there = hand.solve_ik(T_pinch, (last,))
         if there is None or np.abs(there - last).max() > _MAX_STEP_OF_PATH:
             raise SkillFailedError(FailureCause.UNREACHABLE, f"a turn of the lid leaves the {hand.side} arm's reach")
-        rows.append(np.linspace(last, there, CLOSING_TICKS + 1)[1:])
+        pressed = there + _deflection(hand, there, np.zeros(3), torque)
+        rows.append(np.linspace(rows[-1][-1], pressed, CLOSING_TICKS + 1)[1:])
+        last = there
     return np.concatenate(rows)
 
 

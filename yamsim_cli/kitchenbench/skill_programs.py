@@ -9,7 +9,7 @@ from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
 from kitchenbench.sim.success import SCOOP_TOL_G
 
 from ..core.config.objects.object_config import ObjectConfig
-from ..core.config.objects.shapes import RackShape
+from ..core.config.objects.shapes import CapShape, RackShape
 from ..core.expert.skills.handover import Handover
 from ..core.expert.skills.pick import Pick
 from ..core.expert.skills.place import Place
@@ -21,6 +21,7 @@ from .lids import OPEN, SEAL
 from .object_poses import T_in_world
 from .open_lid import OpenLid
 from .pasta import POUR, SCOOP
+from .place_screw_lid import PlaceScrewLid
 from .pour import Pour
 from .scoop import Scoop
 from .sorting import Sort
@@ -28,6 +29,7 @@ from .sorting import Sort
 _RACK_BOW_CLEARANCE = 0.008  # m, between a dish and the bow at an end of the rack
 _STACK_DROP = 0.02  # m, height of release: the fingers around the rim reach below it
 _PLATE_DROP = 0.015  # m over a plate, height of cutlery's release: KitchenBench takes the rim as the top
+_SCREW_LID_DROP = 0.015  # m over a jar, where the fingers around its lid are 4 mm or more from the jar's neck
 _COMPARTMENT_PREFIX = "compartment_"  # the kind of cutlery follows
 
 
@@ -64,7 +66,10 @@ def build_scene_program(
         case kind if kind == SCOOP:
             return [_scoop(blueprint)]
         case kind if kind == SEAL:
-            return _pick_and_place(roles["lid"][0], Place(thing=roles["lid"][0], on=roles["container"][0]))
+            lid = roles["lid"][0]
+            if isinstance(items[lid].shape, CapShape):
+                return _pick_and_place(lid, PlaceScrewLid(thing=lid, on=roles["container"][0], drop=_SCREW_LID_DROP))
+            return _pick_and_place(lid, Place(thing=lid, on=roles["container"][0]))
     raise LookupError(f"scene {blueprint.scene_id!r}: no expert for goals of kind {blueprint.target_kind!r}")
 
 

@@ -82,7 +82,8 @@ class PlaceSkill(Skill):
         next_skills: Sequence[Skill] = (),
     ) -> str | None:
         """See `Skill.infeasibility_reason`."""
-        fault = f"there is no room for it on or in the {self.support_name(roles)}"
+        # For each check, the last fault that it found. The fault of the last check tells most: a contact, not a reach.
+        faults = {0: f"there is no room for it on or in the {self.support_name(roles)}"}
         load = AttachedObject(thing, T_thing_in_pinch, (TABLE, *context.world.object_names))
         for T_lying in self._ordered_goals(context, roles, thing, T_thing_in_pinch):
             T_goal = pose_raised_by(T_lying, self.drop)
@@ -90,22 +91,22 @@ class PlaceSkill(Skill):
             can_point_there = is_orientation_plausible(T_pinch, hand.arm.T_base_in_world)
             goal_joints = hand.solve_ik(T_pinch, (joints, hand.ready_joints)) if can_point_there else None
             if goal_joints is None:
-                fault = f"the {hand.side} arm does not reach its goal with it"
+                faults[1] = f"the {hand.side} arm does not reach its goal with it"
                 continue
             hover_joints = hand.solve_ik(
                 pose_raised_by(T_goal, HOVER_HEIGHT) @ invert_pose(T_thing_in_pinch), (goal_joints,), WAYPOINT_TOLERANCE
             )
             if hover_joints is None:
-                fault = f"the {hand.side} arm does not reach over its goal with it"
+                faults[2] = f"the {hand.side} arm does not reach over its goal with it"
             elif blocked := context.find_contact(hand, goal_joints, hand.opening, load):
-                fault = f"{blocked} at its goal"
+                faults[3] = f"{blocked} at its goal"
             elif blocked := context.find_contact(
                 hand, hover_joints, hand.opening, AttachedObject(thing, T_thing_in_pinch)
             ):
-                fault = f"{blocked} over its goal"
+                faults[4] = f"{blocked} over its goal"
             else:
                 return None
-        return fault
+        return faults[max(faults)]
 
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
