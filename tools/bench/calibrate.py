@@ -95,6 +95,14 @@ def board_errors(
 
 def calibration_errors(found: Mapping[str, Any], planted: Planted) -> list[dict[str, Any]]:
     """Return the errors and half widths of 95 % intervals of each estimated quantity."""
+    rows = []
+    for wrist in found["wrist_cameras"]:
+        rows += _pose_errors("wrist camera", wrist, planted.T_wrist_in_flange[wrist["name"]])
+    return [*_station_errors(found, planted), *rows] if found["cameras"] else rows
+
+
+def _station_errors(found: Mapping[str, Any], planted: Planted) -> list[dict[str, Any]]:
+    """Return the errors of the fixed camera, the arms and the second base."""
     camera, arms = found["cameras"][0], found["arms"]
     order = sorted(arms, key=lambda arm: arm["name"] != found["reference"])
     offsets = np.degrees(planted.offsets).reshape(len(arms), 6)
@@ -112,8 +120,6 @@ def calibration_errors(found: Mapping[str, Any], planted: Planted) -> list[dict[
         rows.append(_error("joint offsets, degrees", error, arm["joint_offsets_95_deg"][1:]))
     if planted.T_arm_in_base is not None:
         rows += _pose_errors("second base", order[1], planted.T_arm_in_base)
-    for wrist in found["wrist_cameras"]:
-        rows += _pose_errors("wrist camera", wrist, planted.T_wrist_in_flange[wrist["name"]])
     return rows
 
 
