@@ -8,7 +8,6 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import replace
-from typing import Protocol
 
 from yamsim_cli.core.attempt_data import AttemptJob, AttemptPayload
 from yamsim_cli.core.closable import Closable
@@ -61,19 +60,6 @@ TeleopExecutor = Executor[SimulatedAttempt, AttemptPayload]
 def open_worker(session: Session) -> ProcessPool[SimulatedAttempt, AttemptPayload]:
     """Start a worker process, so that rendering does not delay the arm."""
     return ProcessPool(functools.partial(TeleopAttemptRenderer, session), 1)
-
-
-class AttemptReceiver(Protocol):
-    """Object to which a scene submits its teleoperated attempts."""
-
-    @property
-    def next_attempt(self) -> int:
-        """Number of the next attempt."""
-        ...
-
-    def submit(self, simulated: SimulatedAttempt) -> None:
-        """Accept a finished attempt for further processing."""
-        ...
 
 
 class AttemptWriter(Closable):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,8 +20,8 @@ from yamsim_cli.core.expert.planning.arm_solvers import start_postures
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.compiled import CompiledScene
 
-from ..teleop_interface import TeleopInterface, TeleopStatus
-from .attempt_writer import AttemptReceiver
+from ..viewed_scene import ViewedScene
+from .attempt_writer import AttemptWriter
 from .recording_journal import CommandTick, RecordingJournal, UnfinishedRecording
 from .teleop_arm import TeleopArm
 
@@ -74,7 +74,45 @@ class TeleopAttemptScene:
         return SimulatedAttempt(attempt, build_outcome(self._simulator, played), played)
 
 
-class TeleopScene(TeleopInterface):
+@dataclass(frozen=True)
+class TeleopStatus:
+    """State of a teleoperation session, for display.
+
+    Attributes:
+        arm: "left" or "right"; empty for a rig with one arm.
+        seconds: length of the recording so far, s.
+        episodes, failures, waiting: numbers of attempts; `waiting` ones are not judged yet.
+        target_distance: from the target pose of the hand to the nearest reachable pose, m; 0 if reachable.
+        at_limit: joints at a joint limit.
+        obstacle: that blocks the arm; empty without one.
+        gripper_open, magnet: commands of the gripper and the weld; `magnet` is None if grasps hold by friction alone.
+        prompt: empty unless it differs between attempts.
+        goal: how far the goal of the task is met; empty for tasks without a goal.
+    """
+
+    arm: str
+    recording: bool
+    seconds: float
+    episodes: int
+    failures: int
+    waiting: int
+    target_distance: float
+    at_limit: tuple[str, ...]
+    obstacle: str
+    gripper_open: bool
+    magnet: bool | None
+    is_weld_holding: bool
+    message: str
+    prompt: str = ""
+    goal: str = ""
+
+    @property
+    def can_follow(self) -> bool:
+        """Whether the hand can reach its target."""
+        return not (self.target_distance or self.at_limit or self.obstacle)
+
+
+class TeleopScene(ViewedScene):
     """A scene with teleoperated arms, and its state. All methods are thread-safe.
 
     Of two arms, one is teleoperated at a time, and the other continues to its last target. Methods without a side
@@ -97,7 +135,7 @@ class TeleopScene(TeleopInterface):
     def __init__(
         self,
         session: Session,
-        receiver: AttemptReceiver,
+        receiver: AttemptWriter,
         journal: RecordingJournal | None = None,
         time_limit: float = TIME_LIMIT,
         end: EndRule = EndRule.ACTOR,

@@ -160,11 +160,6 @@ class DatasetProblem:
         more = f" (in {self.count} frames)" if self.count > 1 else ""
         return f"{self.kind.title}: {self.value}{valid}{more}" if self.value else f"{self.kind.title}{more}"
 
-    @property
-    def location_text(self) -> str:
-        """The episode and file with the fault."""
-        return "/".join(part for part in (self.episode, self.file) if part) or "dataset"
-
     def to_json_data(self) -> dict[str, Any]:
         """Return the fault as JSON-ready data."""
         return {
