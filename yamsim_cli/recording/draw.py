@@ -216,18 +216,6 @@ class DrawCollector(Collector):
         )
 
 
-@dataclass(frozen=True)
-class DrawExecutorFactory:
-    """Draws episodes in processes of this machine, each up to `job_seconds`, s."""
-
-    source: DrawSource
-    job_seconds: float
-
-    def open(self, session: Session, workers: int) -> EpisodeExecutor:
-        """See `ExecutorFactory.open`."""
-        return ProcessPool(functools.partial(EpisodeDrawer, session, self.source), workers, self.job_seconds)
-
-
 def draw(
     session: Session,
     source: DrawSource,
@@ -247,9 +235,11 @@ def draw(
     def make_collector(config: RecordConfig, sink: EpisodeWriter) -> Collector:
         return DrawCollector(config, sink, callbacks, stop, source)
 
+    def open_executor(session: Session, workers: int) -> EpisodeExecutor:
+        return ProcessPool(functools.partial(EpisodeDrawer, session, source), workers, job_seconds)
+
     session = with_mesh_descriptions(session.with_values(episodes=source.episodes))
-    factory = DrawExecutorFactory(source, job_seconds)
-    return fill_dataset(session, output, factory, make_collector, callbacks, stop, began)
+    return fill_dataset(session, output, open_executor, make_collector, callbacks, stop, began)
 
 
 def describe_draw(report: RecordReport) -> str:
