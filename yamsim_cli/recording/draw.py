@@ -17,7 +17,6 @@ import numpy as np
 
 from .. import __version__
 from ..core.attempt_data import Attempt, AttemptJob, AttemptPayload, Outcome
-from ..core.closable import Closable
 from ..core.config.recording import RecordConfig
 from ..core.config.session import Session
 from ..core.config.variation import PHYSICS_PARTS, RandomizationSample
@@ -28,9 +27,9 @@ from ..core.dataset.records import AttemptRecord, EpisodeRecord, attempt_from_re
 from ..core.dataset.writing.ledger import Ledger
 from ..core.dataset.writing.staged_writer import EpisodeWriter
 from ..core.episode.attempt_payload import camera_entries, encode_images, library_versions
-from ..core.episode.runner import require_stated_meshes
+from ..core.episode.runner import SessionRunner, require_stated_meshes
 from ..core.episode.sampling import sample_variation
-from ..core.episode.simulator import Simulator, SimulatorCache
+from ..core.episode.simulator import Simulator
 from ..core.errors import DatasetError, PartialJobError, count_noun
 from ..core.files.writing import sha256_bytes
 from ..core.geometry.se3 import Array
@@ -79,13 +78,13 @@ def read_attempts(dataset: Path) -> list[AttemptRecord]:
     return attempts
 
 
-class EpisodeDrawer(Closable):
+class EpisodeDrawer(SessionRunner):
     """Renders stored episodes again, in a worker. Raises ResourceError as `require_stated_meshes`."""
 
     def __init__(self, session: Session, source: DrawSource) -> None:
         require_stated_meshes(session)
+        super().__init__(session)
         self._source = source
-        self._simulators = SimulatorCache(session)
 
     def run(self, job: AttemptJob) -> AttemptPayload:
         """Return a success with the files of its episode, and a failure without files."""
@@ -122,10 +121,6 @@ class EpisodeDrawer(Closable):
         placer, variation = simulator.distractor_placer, sample_variation(simulator.config, stored.job)
         distractors = placer.sample_poses(stored.job, positions) if placer else {}
         return replace(stored, variation=with_physics_of(stored.variation, replace(variation, distractors=distractors)))
-
-    def close(self) -> None:
-        """Free the renderers."""
-        self._simulators.close()
 
 
 def with_physics_of(stored: RandomizationSample, look: RandomizationSample) -> RandomizationSample:
