@@ -124,6 +124,7 @@ class TeleopScene(ViewedScene):
         config: config of the session.
         attempt_scene: scene and arms of the present attempt.
         sides: sides of the arms, in the order of recordings.
+        is_recording: whether an attempt is being recorded, including the ticks after a stop.
         active_arm: index of the teleoperated arm in that order.
         episodes, failures, waiting, discarded: numbers of attempts; `waiting` ones are not judged yet.
 
@@ -150,7 +151,7 @@ class TeleopScene(ViewedScene):
         self.attempt_scene = TeleopAttemptScene(session)
         self.sides = self.attempt_scene.sides
         self.active_arm = config.acting_scene_arms[0]
-        self._recording = False
+        self.is_recording = False
         self.message = ""
         self.episodes = self.failures = self.waiting = 0
         self.discarded = 0
@@ -175,11 +176,6 @@ class TeleopScene(ViewedScene):
         return self._ticks * self.tick_seconds
 
     @property
-    def is_recording(self) -> bool:
-        """Whether an attempt is being recorded, including the ticks after a stop."""
-        return self._recording
-
-    @property
     def target_pose(self) -> Array:
         """Target pose (4, 4) of the pinch frame in `world`."""
         return self._selected_arm.target_pose
@@ -191,7 +187,7 @@ class TeleopScene(ViewedScene):
             arm = self._selected_arm
             return TeleopStatus(
                 arm=arm.side if len(self.sides) > 1 else "",
-                recording=self._recording,
+                recording=self.is_recording,
                 seconds=self._episode.simulated_seconds,
                 episodes=self.episodes,
                 failures=self.failures,
@@ -269,7 +265,7 @@ class TeleopScene(ViewedScene):
         time.
         """
         with self.lock:
-            if not self._recording or self._settling_ticks_left:
+            if not self.is_recording or self._settling_ticks_left:
                 self.message = "no recording was in progress"
                 return
             self._end_recording()
@@ -298,7 +294,7 @@ class TeleopScene(ViewedScene):
     def pause_unattended(self) -> None:
         """Pause a recording because the last page was closed."""
         with self.lock:
-            if self._recording and not self.paused:
+            if self.is_recording and not self.paused:
                 self.paused = True
                 self.message = "paused, because no browser was connected; click Play to continue"
 
@@ -339,7 +335,7 @@ class TeleopScene(ViewedScene):
     def discard_recording(self) -> None:
         """End and delete the recording. The next attempt has the same layout."""
         with self.lock:
-            if not self._recording:
+            if not self.is_recording:
                 self.message = "no recording was in progress"
                 return
             self.discarded += 1
@@ -351,7 +347,7 @@ class TeleopScene(ViewedScene):
     def reset(self) -> None:
         """Reset the scene to the start of the attempt. Discard a present recording."""
         with self.lock:
-            if self._recording:
+            if self.is_recording:
                 self.discard_recording()
             else:
                 self._begin_attempt()
@@ -370,13 +366,13 @@ class TeleopScene(ViewedScene):
         """Reset the scene to the start of the next attempt. End rule and time limit apply to recordings only."""
         attempt = self.attempt_scene.begin_attempt(AttemptJob(self.config.seed, self._receiver.next_attempt))
         self._set_attempt(attempt, self._rules if recording else EpisodeRules())
-        self._recording = recording
+        self.is_recording = recording
 
     def _set_attempt(self, attempt: Attempt, rules: EpisodeRules) -> None:
         self._attempt = attempt
         self._episode = self.attempt_scene.set_up(attempt, rules)
         self.model, self.data = self.attempt_scene.scene.model, self._episode.data
-        self._recording, self._settling_ticks_left = False, 0
+        self.is_recording, self._settling_ticks_left = False, 0
 
     @property
     def _arms(self) -> tuple[TeleopArm, ...]:
@@ -391,7 +387,7 @@ class TeleopScene(ViewedScene):
         magnet = tuple(arm.magnet for arm in self._arms)
         reference = np.array([arm.command_reference for arm in self._arms])
         self._episode.step(ctrl, magnet, reference)
-        if self._recording and self._journal:
+        if self.is_recording and self._journal:
             self._journal.add_tick(CommandTick(ctrl, magnet, reference))
 
     def _simulate_tick(self) -> None:
@@ -406,8 +402,8 @@ class TeleopScene(ViewedScene):
             self._settling_ticks_left -= 1
             if not self._settling_ticks_left:
                 self._finish_recording()
-        elif self._recording and self._episode.end is not None:
+        elif self.is_recording and self._episode.end is not None:
             self._finish_recording()
-        elif self._recording and self._episode.ticks >= self._max_ticks:
+        elif self.is_recording and self._episode.ticks >= self._max_ticks:
             self._end_recording()
             self.message = f"stopped after {self._max_ticks * self.tick_seconds:.0f} s, the time limit of a recording"
