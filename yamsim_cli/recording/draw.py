@@ -30,7 +30,7 @@ from ..core.episode.attempt_payload import camera_entries, encode_images, librar
 from ..core.episode.runner import SessionRunner, require_stated_meshes
 from ..core.episode.sampling import sample_variation
 from ..core.episode.simulator import Simulator
-from ..core.errors import DatasetError, PartialJobError, count_noun
+from ..core.errors import DatasetError, PartialJobError
 from ..core.files.writing import sha256_bytes
 from ..core.geometry.se3 import Array
 from ..core.scene.build import with_mesh_descriptions
@@ -235,8 +235,3 @@ def draw(
 
     session = with_mesh_descriptions(session.with_values(episodes=source.episodes))
     return fill_dataset(session, output, open_executor, make_collector, callbacks, stop, began)
-
-
-def describe_draw(report: RecordReport) -> str:
-    """Return a sentence about a finished dataset."""
-    return f"{count_noun(report.episodes, 'episode')} drawn in {report.path} ({report.seconds:.1f} s)"
