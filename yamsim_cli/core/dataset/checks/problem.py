@@ -194,10 +194,6 @@ class ProblemCollector:
                 code, printable_line(self._episode), printable_line(file), printable_line(value), printable_line(valid)
             )
 
-    def has_code_prefix(self, prefix: str) -> bool:
-        """Return whether the code of any fault begins with `prefix`."""
-        return any(problem.code.startswith(prefix) for problem in self._found.values())
-
     def all_problems(self) -> list[DatasetProblem]:
         """Return the faults in the order in which they were added."""
         return list(self._found.values())
