@@ -117,3 +117,11 @@ def _lay(picture: NDArray[np.float32], field: NDArray[np.float32], board: Board,
     on = (printed >= 1) & (depth > 0)
     # Levels of black ink and white paper.
     picture[on] = 30 + (printed[on] - 1) * (200 / 255)
+
+
+def scaled_camera(camera: CameraModel, factor: float) -> CameraModel:
+    """The camera of images resized by `factor`."""
+    (fx, skew, cx), (_, fy, cy), last = camera.K
+    shift = (factor - 1) / 2
+    K = ((fx * factor, skew * factor, cx * factor + shift), (0.0, fy * factor, cy * factor + shift), last)
+    return replace(camera, width=round(camera.width * factor), height=round(camera.height * factor), K=K)

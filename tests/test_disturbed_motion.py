@@ -32,7 +32,7 @@ from yamsim_cli.datasets.verify import ACTIONS, SEED, EpisodeVerifier, Tolerance
 from yamsim_cli.disturbances.config import DisturbanceConfig
 from yamsim_cli.disturbed_motion import sample_pushes
 from yamsim_cli.recording.collect import RecordCallbacks
-from yamsim_cli.recording.executor_factories import InlineExecutorFactory
+from yamsim_cli.recording.executor_factories import inline_executor
 from yamsim_cli.recording.recorder import record
 from yamsim_cli.recording.recording_output import RecordingOutput
 
@@ -161,7 +161,7 @@ def test_a_disturbed_recording_is_reproduced_from_its_seed_and_from_its_actions(
     session = session.with_values(disturb=disturb, cameras=())
     output = RecordingOutput(out := tmp_path / "dataset", ExistingDatasetMode.NEW)
     callbacks = RecordCallbacks(lambda *_: None, lambda text: None)
-    record(session, output, InlineExecutorFactory(), callbacks, StopRequest())
+    record(session, output, inline_executor, callbacks, StopRequest())
     episode = open_episode(out / "ep_000000")
     assert len(episode.record.randomized.pushes) == 1
     frame = episode.frames()[5]

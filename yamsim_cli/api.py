@@ -79,13 +79,13 @@ def record(
     from .core.dataset.writing.directory_claim import ExistingDatasetMode
     from .core.workers.stop_request import StopRequest
     from .recording.collect import RecordCallbacks
-    from .recording.executor_factories import InlineExecutorFactory, ProcessExecutorFactory
+    from .recording.executor_factories import inline_executor, process_executor
     from .recording.recorder import record as run
     from .recording.recording_output import RecordingOutput
 
     output = RecordingOutput(Path(out), ExistingDatasetMode.RESUME if resume else ExistingDatasetMode.NEW)
     watch = RecordCallbacks(lambda *_: None, lambda text: None)
-    executors = InlineExecutorFactory() if workers is None else ProcessExecutorFactory()
+    executors = inline_executor if workers is None else process_executor
     return run(session, output, executors, watch, StopRequest())
 
 

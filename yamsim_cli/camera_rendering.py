@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -387,14 +387,10 @@ class EffectsCamera:
         """
         left, top, right, bottom = self._effects.picture_box(image.shape[1], image.shape[0])
         picture = np.ascontiguousarray(image[top:bottom, left:right])
-        self._sensor.apply(picture, _noise_generator(job, frame, self._number))
+        self._sensor.apply(picture, lambda: random_generator(job, Stream.SENSOR, frame, self._number))
         if self._video is not None:
             self._video.apply(picture, frame)
         image[top:bottom, left:right] = picture
-
-
-def _noise_generator(job: AttemptJob, frame: int, camera: int) -> Callable[[], np.random.Generator]:
-    return lambda: random_generator(job, Stream.SENSOR, frame, camera)
 
 
 def _position_at(model: mujoco.MjModel, positions: Sequence[Array], place: float) -> Array:

@@ -91,7 +91,7 @@ class PickPlaceEnv(gymnasium.Env[_Observation, NDArray[np.float32]]):
         if self.render_mode is None:
             return None
         camera = self._shared.cameras["scene_rgb"]
-        return self._task.render((camera,))[camera]
+        return self._task.trial.render((camera,))[camera]
 
     def close(self) -> None:
         """Free the renderers."""
@@ -102,7 +102,7 @@ class PickPlaceEnv(gymnasium.Env[_Observation, NDArray[np.float32]]):
         if not self._shared.observes_images:
             return numbers
         cameras = self._shared.cameras
-        images = self._task.render(tuple(cameras.values()))
+        images = self._task.trial.render(tuple(cameras.values()))
         return numbers | {key: images[camera] for key, camera in cameras.items()}
 
 

@@ -10,7 +10,7 @@ from .core.attempt_data import Attempt
 from .core.closable import Closable
 from .core.config.session import Session
 from .core.episode.attempt_payload import render_cameras
-from .core.episode.simulator import SimulatorCache
+from .core.episode.runner import SessionRunner
 from .core.geometry.se3 import Array
 from .core.images.image import Image
 from .core.workers.executors import run_all
@@ -28,20 +28,13 @@ class _PictureJob:
     cameras: tuple[str, ...]
 
 
-class _PictureRenderer(Closable):
+class _PictureRenderer(SessionRunner):
     """Renders the jobs of a process."""
-
-    def __init__(self, session: Session) -> None:
-        self._simulators = SimulatorCache(session)
 
     def run(self, job: _PictureJob) -> dict[str, Image]:
         """Return camera -> image."""
         simulator = self._simulators.get(job.attempt.job)
         return render_cameras(simulator, job.attempt, job.qpos, job.cameras)
-
-    def close(self) -> None:
-        """Free the renderers."""
-        self._simulators.close()
 
 
 class Pictures(Closable):

@@ -27,10 +27,6 @@ _GL_DISABLED = "off"  # MUJOCO_GL without OpenGL; `choose_gl_backend` may replac
 _OFFLINE_VARIABLE = "YAMSIM_OFFLINE"  # environment variable that prevents downloads of meshes, unless empty or 0
 
 
-def _show_no_progress() -> AbstractContextManager[FetchProgress]:
-    return nullcontext(lambda label, done, total: None)
-
-
 # Setting (flag or keyword) -> key path in a record config; the task comes before the settings within it.
 _KEY_PATH_OF_SETTING: dict[str, tuple[str, ...]] = {
     "rig": ("rig",),
@@ -82,7 +78,9 @@ class SessionOpener:
     setting_label: Callable[[str], str]
     resolve_object: Callable[[str, Locations, Callable[[str], None]], str] = lambda name, where, notify: name
     resolve_task: Callable[[str], str | dict[str, Any]] = lambda name: name
-    fetch_bar: Callable[[], AbstractContextManager[FetchProgress]] = _show_no_progress
+    fetch_bar: Callable[[], AbstractContextManager[FetchProgress]] = lambda: nullcontext(
+        lambda label, done, total: None
+    )
     notify_at_end: Callable[[str], None] = lambda text: None
 
     def open(

@@ -167,7 +167,7 @@ class Station(Closable):
         """Simulate one frame, and return whether the trial is successful. Time stops when the trial ends."""
         for _ in range(self._timing.ticks_per_frame):
             self.tick()
-        return self._task.is_successful
+        return self._task.trial.is_successful
 
     def tick(self) -> None:
         """Simulate one control tick, unless the trial has ended."""
@@ -175,7 +175,7 @@ class Station(Closable):
 
     def judge(self) -> str:
         """Return why the trial is not successful at present; "" on success."""
-        return self._task.failure_reason()
+        return self._task.trial.failure_reason()
 
     def positions(self) -> Array:
         """Return the present `qpos` (nq,), from which `pictures` can render later."""
@@ -193,7 +193,7 @@ class Station(Closable):
         Raises:
             ResourceError: no OpenGL context could be made.
         """
-        return self._task.render(tuple(self.form.cameras) if cameras is None else cameras, positions)
+        return self._task.trial.render(tuple(self.form.cameras) if cameras is None else cameras, positions)
 
     def close(self) -> None:
         """Free the renderers."""

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from .core.attempt_data import AttemptJob, AttemptPayload, FailureCause
-from .core.closable import Closable
 from .core.config.program_task import ProgramTask
 from .core.config.recording import SCENE_CAMERA, RecordConfig
 from .core.config.session import Session
@@ -19,9 +18,9 @@ from .core.dataset.records import MarginsRecord, OutcomeRecord, attempt_record, 
 from .core.episode.attempt_payload import render_cameras
 from .core.episode.episode_rules import EXPERT_RULES
 from .core.episode.execution import SimulatedAttempt, simulate_expert
-from .core.episode.runner import AttemptRunner
+from .core.episode.runner import AttemptRunner, SessionRunner
 from .core.episode.sampling import sample_attempt
-from .core.episode.simulator import Simulator, SimulatorCache
+from .core.episode.simulator import Simulator
 from .core.errors import InterruptedJobError, ResourceError, SimulationError, UsageError
 from .core.files.writing import move_to_backup
 from .core.images.jpeg import decode_jpeg, encode_jpeg
@@ -173,19 +172,12 @@ class FilmedTrial:
     path: Path
 
 
-class TrialFrameRenderer(Closable):
+class TrialFrameRenderer(SessionRunner):
     """Base of filmers, which render simulated trials."""
-
-    def __init__(self, session: Session) -> None:
-        self._simulators = SimulatorCache(session)
 
     def _render_jpegs(self, simulator: Simulator, done: SimulatedAttempt) -> list[bytes]:
         shown = (render_cameras(simulator, done.attempt, state.qpos, (SCENE_CAMERA,)) for state in done.recorded_states)
         return [encode_jpeg(images[SCENE_CAMERA], _JPEG_QUALITY) for images in shown]
-
-    def close(self) -> None:
-        """Free the renderers."""
-        self._simulators.close()
 
 
 class _ExpertFilmer(TrialFrameRenderer):

@@ -22,7 +22,7 @@ from yamsim_cli.core.dataset.reader import RecordedEpisode, open_recorded_episod
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.recorded_motion import RecordedMotion
 from yamsim_cli.export.export_source import open_real_source
-from yamsim_cli.export.lerobot import export_real_lerobot
+from yamsim_cli.export.lerobot import export_lerobot
 from yamsim_cli.export.raiden import export_real_raiden
 from yamsim_cli.export.raiden_schema import RaidenOptions
 from yamsim_cli.real.recordings.csv_file import csv_columns
@@ -81,7 +81,7 @@ def test_lerobots_own_datasets_come_in_and_go_out_again(
         wanted = [grey_of(k + 7 * number) for k in range(len(motion.times))]
         np.testing.assert_allclose(greys(episode, "top"), wanted, atol=4)
 
-    export_real_lerobot(open_real_source(dataset, None, locations), tmp_path / "out", lambda done, total: None)
+    export_lerobot(open_real_source(dataset, None, locations), tmp_path / "out", lambda done, total: None)
     read = lerobot.run("read_lerobot.py", tmp_path / "out", tmp_path / "read.npz", timeout_s=PATIENCE)
     assert (read["fps"], read["tasks"]) == (100, ["task 0", "task 1"])
     assert read["policy"] == {"observation.images.top": "VISUAL", "observation.state": "STATE", "action": "ACTION"}

@@ -55,7 +55,7 @@ class InlineFactory:
     def __init__(self, choice: PolicyChoice, rewind_s: float) -> None:
         self._choice, self._rewind_s = choice, rewind_s
 
-    def open(self, session: Session, workers: int) -> EpisodeExecutor:
+    def __call__(self, session: Session, workers: int) -> EpisodeExecutor:
         return InlineExecutor(lambda: CorrectionRunner(session, self._choice, self._rewind_s))
 
 

@@ -17,7 +17,7 @@ from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.workers.process_pool import ProcessPool
 from yamsim_cli.core.workers.stop_request import StopRequest
 from yamsim_cli.recording.collect import RecordCallbacks
-from yamsim_cli.recording.executor_factories import ProcessExecutorFactory
+from yamsim_cli.recording.executor_factories import process_executor
 from yamsim_cli.recording.recorder import record
 from yamsim_cli.recording.recording_output import RecordingOutput
 
@@ -57,7 +57,7 @@ def test_two_thousand_episodes_fit_into_memory(
     record(
         Session(config, locations),
         RecordingOutput(tmp_path / "d", ExistingDatasetMode.NEW),
-        ProcessExecutorFactory(),
+        process_executor,
         watch,
         StopRequest(),
     )

@@ -16,7 +16,7 @@ from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.workers.stop_request import StopRequest
 from yamsim_cli.datasets.verify import CHECK_NAMES, EpisodeVerifier, Tolerances
 from yamsim_cli.recording.collect import RecordCallbacks
-from yamsim_cli.recording.executor_factories import InlineExecutorFactory
+from yamsim_cli.recording.executor_factories import inline_executor
 from yamsim_cli.recording.recorder import record
 from yamsim_cli.recording.recording_output import RecordingOutput
 from yamsim_cli.session_opener import SessionOpener
@@ -62,7 +62,7 @@ def test_each_shipped_task_is_made_again_bit_for_bit(task: str, locations: Locat
     session = Session(config, locations).without_meshes()
     out = tmp_path / "dataset"
     watch = RecordCallbacks(lambda done, wanted, attempts: None, lambda text: None)
-    record(session, RecordingOutput(out, ExistingDatasetMode.NEW), InlineExecutorFactory(), watch, StopRequest())
+    record(session, RecordingOutput(out, ExistingDatasetMode.NEW), inline_executor, watch, StopRequest())
     with EpisodeVerifier(session, Tolerances(0.0, 0.0)) as verifier:
         verdict = verifier.run((0, out / "ep_000000"))
     assert verdict.is_reproduced, verdict

@@ -22,7 +22,7 @@ from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.recorded_motion import RecordedMotion
 from yamsim_cli.export.export_source import ActionSource, nearest_to_even, open_real_source, open_source
-from yamsim_cli.export.lerobot import export_real_lerobot
+from yamsim_cli.export.lerobot import export_lerobot
 from yamsim_cli.export.output_directory import ExportResult
 from yamsim_cli.export.raiden import export_real_raiden
 from yamsim_cli.export.raiden_schema import RaidenOptions
@@ -54,7 +54,7 @@ DEFAULT = RaidenOptions()
 def to_lerobot(
     dataset: Path, out: Path, locations: Locations, actions: ActionSource = "recorded", fps: float | None = None
 ) -> ExportResult:
-    return export_real_lerobot(open_real_source(dataset, None, locations, fps), out, ignore, actions=actions)
+    return export_lerobot(open_real_source(dataset, None, locations, fps), out, ignore, actions=actions)
 
 
 def test_lerobot_has_what_was_recorded_and_nothing_else(filmed: Real, locations: Locations, tmp_path: Path) -> None:

@@ -30,8 +30,7 @@ from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.export.export_source import open_source
 from yamsim_cli.export.raiden import export_raiden
 from yamsim_cli.export.raiden_schema import RaidenOptions
-from yamsim_cli.export.resample import frame_times, nearest_frames, resample_episode
-from yamsim_cli.export.state_sampler import StateSampler
+from yamsim_cli.export.resample import StateSampler, frame_times, nearest_frames, resample_episode
 
 TICK, PERIOD = 0.032, 0.064
 

@@ -35,7 +35,7 @@ from yamsim_cli.datasets.verify import EpisodeVerifier, Tolerances
 from yamsim_cli.kitchen_scenes import resolve_scene_task
 from yamsim_cli.kitchenbench.object_poses import AHEAD, BESIDE
 from yamsim_cli.recording.collect import RecordCallbacks
-from yamsim_cli.recording.executor_factories import InlineExecutorFactory
+from yamsim_cli.recording.executor_factories import inline_executor
 from yamsim_cli.recording.recorder import record
 from yamsim_cli.recording.recording_output import RecordingOutput
 from yamsim_cli.session_opener import SessionOpener
@@ -176,7 +176,7 @@ def test_what_is_recorded_is_made_again_without_the_benchmark(
 ) -> None:
     out = tmp_path / "dataset"
     watch = RecordCallbacks(lambda done, wanted, attempts: None, lambda text: None)
-    record(session, RecordingOutput(out, ExistingDatasetMode.NEW), InlineExecutorFactory(), watch, StopRequest())
+    record(session, RecordingOutput(out, ExistingDatasetMode.NEW), inline_executor, watch, StopRequest())
     monkeypatch.setitem(__import__("sys").modules, "kitchenbench", None)
     again = Session(read_recording_config(out, locations), locations).without_meshes()
     with EpisodeVerifier(again, Tolerances(0.0, 0.0)) as verifier:

@@ -78,7 +78,7 @@ def test_a_mug_stands_on_its_foot_and_holds_things() -> None:
     made = build_object(thing(mug_surface()), ImportOptions("mug", mass=0.3, collision="hull"), Path("unused"))
     item = ObjectConfig.model_validate(made.config_with_mesh_set("own-mug-000000000000"))
     assert item.rest_height == 0 and item.preposition == "in"
-    assert item.support_height == pytest.approx(0.006, abs=2e-4)
+    assert item.support == pytest.approx(0.006, abs=2e-4)
     assert item.mesh.origin == pytest.approx((0, 0, 0), abs=1e-3)
     assert item.grasp is not None
     assert item.grasp.opening == pytest.approx(RADIUS, abs=1e-3)  # across it, beside its handle

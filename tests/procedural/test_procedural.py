@@ -31,7 +31,7 @@ from yamsim_cli.procedural.light_kinds import (
 )
 from yamsim_cli.procedural.textures import HELD_OUT_TEXTURES, Texture, texture_pattern
 from yamsim_cli.recording.collect import RecordCallbacks
-from yamsim_cli.recording.executor_factories import ProcessExecutorFactory
+from yamsim_cli.recording.executor_factories import process_executor
 from yamsim_cli.recording.recorder import record
 from yamsim_cli.recording.recording_output import RecordingOutput
 
@@ -130,7 +130,13 @@ def test_nothing_is_recorded_with_held_out_looks(tmp_path: Path) -> None:
     output = RecordingOutput(tmp_path / "out", ExistingDatasetMode.NEW)
     callbacks = RecordCallbacks(lambda *_: None, lambda _: None)
     with pytest.raises(UsageError, match="randomization 'heldout' is held out for tests of policies"):
-        record(Session(config, where), output, ProcessExecutorFactory(60.0), callbacks, StopRequest())
+        record(
+            Session(config, where),
+            output,
+            process_executor,
+            callbacks,
+            StopRequest(),
+        )
     assert not (tmp_path / "out").exists()
 
 

@@ -57,7 +57,7 @@ class Inline(Closable):
     jobs: list[AttemptJob] = field(default_factory=list)
     made: list[int] = field(default_factory=list)
 
-    def open(self, session: object, workers: int) -> Inline:
+    def __call__(self, session: object, workers: int) -> Inline:
         self.workers = workers
         return self
 

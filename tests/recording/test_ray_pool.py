@@ -15,7 +15,7 @@ from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.errors import ResourceError, SimulationError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.workers.executors import LostJobError, WorkerBugError, run_all
-from yamsim_cli.recording.executor_factories import RayExecutorFactory
+from yamsim_cli.recording.executor_factories import ray_executor
 from yamsim_cli.recording.ray_pool import RayPool
 
 
@@ -81,7 +81,7 @@ class TestOnACluster:
     ) -> None:
         """For example because its meshes or its yamsim differ from the recorder's."""
         noted = config.model_copy(update={"meshes": {"i2rt_yam_crank": "full " + "0" * 64, "ycb": "primitives"}})
-        with RayExecutorFactory(cluster[0].address).open(Session(noted, locations), 1) as executor:
+        with ray_executor(Session(noted, locations), 1, cluster[0].address) as executor:
             executor.submit(AttemptJob(0, 0))
             with pytest.raises(ResourceError, match="i2rt_yam_crank: full 0"):
                 executor.next_result()

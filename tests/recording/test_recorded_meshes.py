@@ -189,7 +189,7 @@ class WithOther:
 
     meshes: MeshFolders
 
-    def open(self, session: Session, workers: int) -> InlineExecutor:
+    def __call__(self, session: Session, workers: int) -> InlineExecutor:
         session = replace(session, locations=replace(session.locations, meshes=self.meshes))
         factory = functools.partial(AttemptRunner, session, render=True)
         return InlineExecutor(factory)

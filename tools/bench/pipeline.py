@@ -26,7 +26,7 @@ from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.workers.stop_request import StopRequest
 from yamsim_cli.recording.collect import RecordCallbacks
-from yamsim_cli.recording.executor_factories import ProcessExecutorFactory
+from yamsim_cli.recording.executor_factories import process_executor
 from yamsim_cli.recording.recorder import record
 from yamsim_cli.recording.recording_output import RecordingOutput
 
@@ -187,5 +187,5 @@ def _record(quality: str, workers: int, episodes: int) -> tuple[float, float]:
     with tempfile.TemporaryDirectory(dir=_PLACE) as place:
         output = RecordingOutput(Path(place, "dataset"), ExistingDatasetMode.NEW)
         watch = RecordCallbacks(progress, lambda warning: None)
-        record(session, output, ProcessExecutorFactory(), watch, StopRequest())
+        record(session, output, process_executor, watch, StopRequest())
     return (came[-1] - came[workers - 1]) / episodes, came[0] - began

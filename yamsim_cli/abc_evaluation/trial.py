@@ -122,7 +122,7 @@ class BottlesTrialRunner(Closable):
         seconds: list[float] = []
         hold = int(getattr(self._policy, "ticks", 1))
         with PutBottles(self._folder, seed, self._size) as scene:
-            places = {name: _place(T) for name, T in scene.object_poses().items()}
+            places = {name: (float(T[0, 3]), float(T[1, 3]), yaw(T)) for name, T in scene.object_poses().items()}
             scheduler = ChunkScheduler(self._chunking, 1 / POLICY_HZ, hold, scene.joints)
             renderer = ObservationRenderer(lambda qpos, camera: self._render(scene, qpos, camera))
             if isinstance(self._policy, BottlesExpert):
@@ -199,7 +199,3 @@ class BottlesTrialRunner(Closable):
         if VELOCITIES in self._wanted:
             numbers["joint_velocities"] = scene.joint_velocities.ravel()
         return LazyObservation(numbers, scene.data.qpos.copy(), self._cameras, renderer)
-
-
-def _place(T: Array) -> tuple[float, float, float]:
-    return float(T[0, 3]), float(T[1, 3]), yaw(T)

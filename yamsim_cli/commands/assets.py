@@ -195,7 +195,7 @@ def certify_object(
     certified = _certify_and_store(thing)
     found = certified.to_json_data()
     if html:
-        from yamsim_cli.objects.certify.report import write_certificate_page
+        from yamsim_cli.objects.certify.certificate_page import write_certificate_page
 
         write_certificate_page(certified, html)
         found["html"] = str(html)

@@ -118,6 +118,6 @@ def schema(kind: ConfigKindArgument, json: Json = False) -> None:
 
     Example: yamsim config schema rigs > rig.schema.json
     """
-    from yamsim_cli.core.config.loader import config_json_schema
+    from yamsim_cli.core.config.loader import config_model
 
-    print_json(config_json_schema(kind))
+    print_json(config_model(kind).model_json_schema())

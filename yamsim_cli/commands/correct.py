@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -86,8 +87,8 @@ def correct(
     Example: yamsim correct --policy my_policy.py:MyPolicy --n 50 --seed 1000 --out corrections
     """
     mode = open_mode(resume=resume, overwrite=overwrite)
-    from yamsim_cli.corrections.correct import CorrectionExecutorFactory, require_corrections
     from yamsim_cli.corrections.correct import correct as run
+    from yamsim_cli.corrections.correct import correction_executor, require_corrections
     from yamsim_cli.policies.action_chunks import ChunkSettings, read_latency
     from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
     from yamsim_cli.policies.policy_loading import read_arguments
@@ -104,7 +105,7 @@ def correct(
         chunking=ChunkSettings(execute, ensemble, read_latency(latency)),
     )
     session = session_opener.open(config, resumes=out if resume else None, **session_settings(locals()))
-    executors = CorrectionExecutorFactory(choice, rewind_s, trial_timeout)
+    executors = partial(correction_executor, choice=choice, rewind_s=rewind_s, job_seconds=trial_timeout)
     with progress_bar("correcting", "trials") as advance, stop_on_signal(_STOPPING_NOTE) as stop:
         callbacks = RecordCallbacks(
             lambda done, wanted, episodes: advance(done, wanted, f"{episodes} corrections"), print_note

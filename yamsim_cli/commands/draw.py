@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from yamsim_cli.core.errors import ConfigError, UsageError
+from yamsim_cli.core.errors import ConfigError, UsageError, count_noun
 from yamsim_cli.flags import session_options as flags
 from yamsim_cli.flags.output_files import ContinueDataset, RenameExisting, open_mode
 from yamsim_cli.flags.session_options import session_opener
@@ -83,7 +83,7 @@ def draw(
     from yamsim_cli.core.dataset.reader import read_recording_config
     from yamsim_cli.core.files.writing import sha256_bytes
     from yamsim_cli.recording.collect import RecordCallbacks
-    from yamsim_cli.recording.draw import DrawSource, describe_draw, read_attempts
+    from yamsim_cli.recording.draw import DrawSource, read_attempts
     from yamsim_cli.recording.draw import draw as run
     from yamsim_cli.recording.draw_config import draw_config, varies_in_looks
     from yamsim_cli.recording.recording_output import RecordingOutput
@@ -114,7 +114,7 @@ def draw(
         note_moved(report.path, report.moved_aside)
         reports.append(report)
         if not json:
-            print_line(describe_draw(report))
+            print_line(f"{count_noun(report.episodes, 'episode')} drawn in {report.path} ({report.seconds:.1f} s)")
     if json:
         print_json({"datasets": [_report_data(report) for report in reports]})
 

@@ -205,21 +205,20 @@ def lerobot(
     source = _open_dataset(dataset, episodes, selection, who, fps, actions)
 
     from yamsim_cli.export.export_source import RealSource
-    from yamsim_cli.export.lerobot import export_lerobot, export_real_lerobot
+    from yamsim_cli.export.lerobot import export_lerobot
 
+    if environment_state and isinstance(source, RealSource):
+        raise UsageError(f"--environment-state: {dataset} is real, and the poses of its objects were not recorded")
     with progress_bar("exporting", "episodes") as advance:
-        if isinstance(source, RealSource):
-            if environment_state:
-                raise UsageError(
-                    f"--environment-state: {dataset} is real, and the poses of its objects were not recorded"
-                )
-            done = export_real_lerobot(
-                source, out, advance, pictures=pictures, actions=actions or "recorded", overwrite=overwrite
-            )
-        else:
-            done = export_lerobot(
-                source, out, advance, pictures=pictures, environment_state=environment_state, overwrite=overwrite
-            )
+        done = export_lerobot(
+            source,
+            out,
+            advance,
+            pictures=pictures,
+            environment_state=environment_state,
+            actions=actions or "recorded",
+            overwrite=overwrite,
+        )
     _print(done, json, source.selection)
 
 

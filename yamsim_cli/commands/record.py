@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -121,14 +122,14 @@ def _start_worker() -> EarlyWorker:
 
 def _make_executor_factory(early: EarlyWorker | None, address: str | None, attempt_timeout: float) -> ExecutorFactory:
     """Return a factory of processes if there is an `early` worker, else one of Ray actors."""
-    from yamsim_cli.recording.executor_factories import ProcessExecutorFactory, RayExecutorFactory
+    from yamsim_cli.recording.executor_factories import process_executor, ray_executor
 
     if early is not None:
-        return ProcessExecutorFactory(attempt_timeout, early)
+        return partial(process_executor, job_seconds=attempt_timeout, early=early)
     # Ray would otherwise send usage statistics over the network.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     rendering = {name: os.environ[name] for name in ("MUJOCO_GL", "LP_NUM_THREADS") if name in os.environ}
-    return RayExecutorFactory(address, rendering, attempt_timeout)
+    return partial(ray_executor, address=address, environ=rendering, job_seconds=attempt_timeout)
 
 
 def _print(report: RecordReport, json: bool) -> None:

@@ -135,7 +135,7 @@ def play_episode(
 ) -> None:
     """Play an episode on a page, or in MuJoCo's window if `page` is None. A real recording shows only its arms."""
     prepare_viewer(page)
-    from yamsim_cli.core.dataset.reader import StoredEpisode
+    from yamsim_cli.core.dataset.reader import StoredEpisode, open_episode
     from yamsim_cli.viewers.show.replay import play_real, play_simulated
 
     physics = _UNREPRODUCIBLE_RESULT
@@ -151,7 +151,7 @@ def play_episode(
         session = session_opener.with_scene_meshes(_dataset_session(stored, locations))
         # A server or window that Ctrl-C interrupts during its start cannot be closed.
         with defer_signals() as stopped:
-            physics = _repeat_in_physics(_whole(stored), locations)
+            physics = _repeat_in_physics(open_episode(stored.directory), locations)
             play_simulated(stored, session, speed, page, announce_ready, stopped)
         return
     from yamsim_cli.core.config.loader import load_config
@@ -169,12 +169,6 @@ def play_episode(
     locations = session_opener.with_mesh_folders(locations, visual_mesh_sets(blueprint))
     with defer_signals() as stopped:
         play_real(stored, motion, blueprint, locations, speed, page, announce_ready, stopped)
-
-
-def _whole(stored: StoredEpisode) -> StoredEpisode:
-    from yamsim_cli.core.dataset.reader import open_episode
-
-    return open_episode(stored.directory)
 
 
 def _dataset_session(stored: StoredEpisode, locations: Locations) -> Session:

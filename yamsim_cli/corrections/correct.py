@@ -100,23 +100,16 @@ class CorrectionCollector(Collector):
         self._watch.progress(len(self._sink.attempts), self._config.episodes, self._sink.episodes)
 
 
-@dataclass(frozen=True)
-class CorrectionExecutorFactory:
-    """Runs trials, with their corrections, in processes of this machine.
+def correction_executor(
+    session: Session, workers: int, choice: PolicyChoice, rewind_s: float, job_seconds: float
+) -> EpisodeExecutor:
+    """Run trials, with their corrections, in processes of this machine.
 
-    Attributes:
+    Args:
         rewind_s: as in `takeover_frame`.
         job_seconds: longest time for a trial with its correction, s, after which its worker is replaced.
     """
-
-    choice: PolicyChoice
-    rewind_s: float
-    job_seconds: float
-
-    def open(self, session: Session, workers: int) -> EpisodeExecutor:
-        """See `ExecutorFactory.open`."""
-        runner = functools.partial(CorrectionRunner, session, self.choice, self.rewind_s)
-        return ProcessPool(runner, workers, self.job_seconds)
+    return ProcessPool(functools.partial(CorrectionRunner, session, choice, rewind_s), workers, job_seconds)
 
 
 @dataclass(frozen=True)
@@ -177,7 +170,7 @@ def correct(
 
     Args:
         policy: name of the policy, for the report.
-        executor_factory: runs the trials, usually a `CorrectionExecutorFactory`.
+        executor_factory: runs the trials, usually `correction_executor`.
         callbacks: `progress` gets the numbers of finished trials, of requested trials, and of corrections.
 
     Raises:

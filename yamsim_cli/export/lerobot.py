@@ -35,40 +35,29 @@ _DIFFERS_FROM_FIRST_TEXT = "unlike the first episode: export them separately wit
 
 
 def export_lerobot(
-    source: SimulatedSource,
+    source: SimulatedSource | RealSource,
     out: Path,
     progress: Progress,
     *,
     pictures: bool = True,
     environment_state: bool = False,
-    overwrite: bool = False,
-) -> ExportResult:
-    """Write a dataset as LeRobotDataset v3.0. The time of frame k is exactly k frame periods.
-
-    `environment_state` adds object poses as `observation.environment_state`.
-    """
-    return _export(source, out, progress, _SimulatedContent(source, pictures, environment_state), overwrite)
-
-
-def export_real_lerobot(
-    source: RealSource,
-    out: Path,
-    progress: Progress,
-    *,
-    pictures: bool = True,
     actions: ActionSource = "recorded",
     overwrite: bool = False,
 ) -> ExportResult:
-    """Write real recordings as LeRobotDataset v3.0, without features that were not recorded.
+    """Write a dataset as LeRobotDataset v3.0, without features that were not recorded.
 
-    `actions`: "recorded" for commands, "measured" for joints one frame later, "none" for no actions.
+    The time of frame k is exactly k frame periods.
+
+    Args:
+        environment_state: of a simulated dataset: also write object poses as `observation.environment_state`.
+        actions: of real recordings: "recorded" for commands, "measured" for joints one frame later, "none" for no
+            actions.
     """
-    return _export(source, out, progress, _RealContent(source, pictures, actions), overwrite)
-
-
-def _export(
-    source: ExportSource, out: Path, progress: Progress, content: _FeatureSource, overwrite: bool
-) -> ExportResult:
+    content = (
+        _RealContent(source, pictures, actions)
+        if isinstance(source, RealSource)
+        else _SimulatedContent(source, pictures, environment_state)
+    )
     require_library("a LeRobot dataset", "pyarrow", "lerobot")
     if content.pictures and source.camera_sizes:
         require_encoder()

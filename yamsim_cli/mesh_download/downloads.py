@@ -198,7 +198,7 @@ def _pip_command(archive: Archive, requirements: Path, temporary: Path, out: Pat
 
     The user's index, proxy and certificates apply. After verifying an sdist's hash, pip runs its `setup.py`.
     """
-    pin = ["--only-binary", ":all:"] if archive.is_wheel else ["--no-binary", archive.name]
+    pin = ["--only-binary", ":all:"] if archive.file.endswith(".whl") else ["--no-binary", archive.name]
     # `env` sets TMPDIR for pip alone. -P prevents imports from the current folder.
     pip = ["env", f"TMPDIR={temporary}", sys.executable, "-P", "-m", "pip", "download", "--quiet", "--no-input"]
     # pip's five retries would take 8 s for each set when offline.

@@ -19,7 +19,7 @@ from ..core.geometry.stl import Faces, decode_stl, encode_stl
 from .collision_geometry import CollisionGeometry, CollisionMode, collision_geometry, rolling_radius, shift_part
 from .convex_decomposition import ShareCallback
 from .overhead_grasps import overhead_grasp
-from .part_surfaces import mass_properties_and_is_solid, merged_surface, plain_inertia, scale_mass
+from .part_surfaces import mass_properties_and_is_solid, merged_surface, plain_inertia
 from .primitives import PointBody
 from .readers.object_parts import MassProperties, ObjectDescription, RigidPart
 from .visual_meshes import VisualMeshes, make_visual_meshes
@@ -187,7 +187,7 @@ def _mass_properties(
             weights.append(MassProperties(solid.volume * density, solid.centre, solid.inertia * density))
     if options.mass is not None:
         factor = options.mass / sum(weight.mass for weight in weights)
-        weights = [scale_mass(weight, factor) for weight in weights]
+        weights = [MassProperties(weight.mass * factor, weight.centre, weight.tensor * factor) for weight in weights]
     return weights
 
 

@@ -88,11 +88,6 @@ def _solid_mass_properties(vertices: Array, faces: Faces) -> UniformMassProperti
     return UniformMassProperties(volume, centre + middle, np.trace(second) * np.eye(3) - second)
 
 
-def scale_mass(weight: MassProperties, factor: float) -> MassProperties:
-    """Multiply mass and inertia by a factor."""
-    return MassProperties(weight.mass * factor, weight.centre, weight.tensor * factor)
-
-
 def plain_inertia(weight: MassProperties, what: str) -> dict[str, object]:
     """Return a config's `inertia`. Raises `ResourceError` if no moment is positive."""
     moments, axes = np.linalg.eigh((weight.tensor + weight.tensor.T) / 2)

@@ -46,11 +46,6 @@ class EdgeOffsets:
     search_distance: float
 
     @property
-    def found_share(self) -> float:
-        """Share of outline points with an edge within reach."""
-        return float(np.isfinite(self.offsets).mean()) if len(self.offsets) else 0.0
-
-    @property
     def median_distance(self) -> float | None:
         """Median distance to the photo's edge, px, `search_distance` for a missing edge; None without an outline."""
         if len(self.offsets) == 0:

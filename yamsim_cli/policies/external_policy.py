@@ -22,15 +22,12 @@ class PolicyClient(Protocol):
 
     def begin_trial(self, seed: int) -> None:
         """Prepare for a new trial. `seed` seeds the policy's random numbers, if any."""
-        ...
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return the answer to a message of text, numbers, arrays, and mappings of these."""
-        ...
 
     def close(self) -> None:
         """Close the connection, if any."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -63,6 +63,7 @@ def load_policy(
         made = found(**(_accepted_keywords(found, keywords) if ignore_unknown_arguments else keywords))
     except UsageError:
         raise
+    # Code of the user may raise any exception.
     except Exception as error:
         raise UsageError(f"--policy {name}: it cannot be loaded: {describe_fault(error, folder).text}") from error
     return check_policy(made, name)

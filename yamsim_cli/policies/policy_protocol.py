@@ -54,7 +54,6 @@ class Policy(Protocol):
     @property
     def reset(self) -> Callable[..., None]:
         """Forget the previous trial. The method gets the trial's seed if it has a parameter `seed`."""
-        ...
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
         """Return an action for an observation: `ctrl` (drives,), rad and m; `magnet` and `done`, by default False.
@@ -62,7 +61,6 @@ class Policy(Protocol):
         For two arms, `ctrl` and `magnet` (2,) have the left arm's values first. `ctrl` (n, drives), and `magnet` (n,)
         or (n, 2), are a chunk of n actions. `period` is the duration of each action, s, instead of `ticks`.
         """
-        ...
 
 
 def squeeze_single_arm(poses: Array) -> Array:

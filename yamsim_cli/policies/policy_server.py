@@ -74,6 +74,7 @@ class PolicyServer(ThreadingHTTPServer):
                 # Otherwise, a process that the policy forks would answer the client again.
                 with kill_forks_at_exit():
                     return pack_message(self._handle_message(what, message))
+            # A policy may raise any exception, and its client needs an answer.
             except Exception as error:  # noqa: BLE001
                 return _fault_answer(error)
 

@@ -140,6 +140,7 @@ def _pack_array(value: Any) -> Any:
     try:
         # `asarray` converts tensors of all libraries, except tensors on a GPU or with gradients.
         array = np.asarray(value)
+    # Libraries raise exceptions of different types.
     except Exception as error:
         raise TypeError(f"{type(value).__name__} cannot be sent: {error}") from error
     if array.dtype.kind not in _DTYPE_KINDS:

@@ -17,7 +17,6 @@ import numpy as np
 
 from .. import __version__
 from ..core.attempt_data import Attempt, AttemptJob, AttemptPayload, Outcome
-from ..core.closable import Closable
 from ..core.config.recording import RecordConfig
 from ..core.config.session import Session
 from ..core.config.variation import PHYSICS_PARTS, RandomizationSample
@@ -28,10 +27,10 @@ from ..core.dataset.records import AttemptRecord, EpisodeRecord, attempt_from_re
 from ..core.dataset.writing.ledger import Ledger
 from ..core.dataset.writing.staged_writer import EpisodeWriter
 from ..core.episode.attempt_payload import camera_entries, encode_images, library_versions
-from ..core.episode.runner import require_stated_meshes
+from ..core.episode.runner import SessionRunner, require_stated_meshes
 from ..core.episode.sampling import sample_variation
-from ..core.episode.simulator import Simulator, SimulatorCache
-from ..core.errors import DatasetError, PartialJobError, count_noun
+from ..core.episode.simulator import Simulator
+from ..core.errors import DatasetError, PartialJobError
 from ..core.files.writing import sha256_bytes
 from ..core.geometry.se3 import Array
 from ..core.scene.build import with_mesh_descriptions
@@ -79,13 +78,13 @@ def read_attempts(dataset: Path) -> list[AttemptRecord]:
     return attempts
 
 
-class EpisodeDrawer(Closable):
+class EpisodeDrawer(SessionRunner):
     """Renders stored episodes again, in a worker. Raises ResourceError as `require_stated_meshes`."""
 
     def __init__(self, session: Session, source: DrawSource) -> None:
         require_stated_meshes(session)
+        super().__init__(session)
         self._source = source
-        self._simulators = SimulatorCache(session)
 
     def run(self, job: AttemptJob) -> AttemptPayload:
         """Return a success with the files of its episode, and a failure without files."""
@@ -122,10 +121,6 @@ class EpisodeDrawer(Closable):
         placer, variation = simulator.distractor_placer, sample_variation(simulator.config, stored.job)
         distractors = placer.sample_poses(stored.job, positions) if placer else {}
         return replace(stored, variation=with_physics_of(stored.variation, replace(variation, distractors=distractors)))
-
-    def close(self) -> None:
-        """Free the renderers."""
-        self._simulators.close()
 
 
 def with_physics_of(stored: RandomizationSample, look: RandomizationSample) -> RandomizationSample:
@@ -216,18 +211,6 @@ class DrawCollector(Collector):
         )
 
 
-@dataclass(frozen=True)
-class DrawExecutorFactory:
-    """Draws episodes in processes of this machine, each up to `job_seconds`, s."""
-
-    source: DrawSource
-    job_seconds: float
-
-    def open(self, session: Session, workers: int) -> EpisodeExecutor:
-        """See `ExecutorFactory.open`."""
-        return ProcessPool(functools.partial(EpisodeDrawer, session, self.source), workers, self.job_seconds)
-
-
 def draw(
     session: Session,
     source: DrawSource,
@@ -247,11 +230,8 @@ def draw(
     def make_collector(config: RecordConfig, sink: EpisodeWriter) -> Collector:
         return DrawCollector(config, sink, callbacks, stop, source)
 
+    def open_executor(session: Session, workers: int) -> EpisodeExecutor:
+        return ProcessPool(functools.partial(EpisodeDrawer, session, source), workers, job_seconds)
+
     session = with_mesh_descriptions(session.with_values(episodes=source.episodes))
-    factory = DrawExecutorFactory(source, job_seconds)
-    return fill_dataset(session, output, factory, make_collector, callbacks, stop, began)
-
-
-def describe_draw(report: RecordReport) -> str:
-    """Return a sentence about a finished dataset."""
-    return f"{count_noun(report.episodes, 'episode')} drawn in {report.path} ({report.seconds:.1f} s)"
+    return fill_dataset(session, output, open_executor, make_collector, callbacks, stop, began)

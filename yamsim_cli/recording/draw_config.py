@@ -18,7 +18,6 @@ from ..core.errors import UsageError
 from ..core.files.documents.units import SKIP_BOUNDS_CONTEXT
 from ..core.geometry.se3 import quat_from_rotation
 
-MAX_VIEWS = 100  # random cameras of a dataset; more would be a mistake in the number
 _ELEVATION = (15.0, 75.0)  # degrees above the horizontal, of random views: lower ones see mostly the floor and the sky
 _DISTANCE = (0.6, 1.3)  # of the scene camera's distance; nearer views cut off the arm
 _FOVY = (40.0, 65.0)  # degrees, of random views; the D405 has 58

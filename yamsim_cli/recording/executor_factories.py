@@ -8,10 +8,9 @@ from __future__ import annotations
 import contextlib
 import functools
 import tempfile
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from ..core.config.recording import RecordConfig
 from ..core.config.session import Session
@@ -27,47 +26,33 @@ from .ray_pool import RayPool
 _MODELS = "robot_models"
 
 
-class ExecutorFactory(Protocol):
-    """Creates the executor that runs the attempts of a recording."""
-
-    def open(self, session: Session, workers: int) -> EpisodeExecutor:
-        """Start `workers` workers that simulate and render attempts."""
-        ...
+# Starts the workers that simulate and render the attempts of a recording; gets the session and the number of workers.
+ExecutorFactory = Callable[[Session, int], EpisodeExecutor]
 
 
-@dataclass(frozen=True)
-class ProcessExecutorFactory:
-    """Runs attempts in processes of this machine, each up to `job_seconds`, s. The first is `early`, if given."""
-
-    job_seconds: float = JOB_TIMEOUT
-    early: EarlyWorker | None = None
-
-    def open(self, session: Session, workers: int) -> EpisodeExecutor:
-        """See `ExecutorFactory.open`."""
-        runner = functools.partial(AttemptRunner, session, render=True)
-        return ProcessPool(runner, workers, self.job_seconds, self.early.start if self.early else None)
+def process_executor(
+    session: Session, workers: int, job_seconds: float = JOB_TIMEOUT, early: EarlyWorker | None = None
+) -> EpisodeExecutor:
+    """Run attempts in processes of this machine, each up to `job_seconds`, s. The first is `early`, if given."""
+    runner = functools.partial(AttemptRunner, session, render=True)
+    return ProcessPool(runner, workers, job_seconds, early.start if early else None)
 
 
-@dataclass(frozen=True)
-class RayExecutorFactory:
-    """Runs attempts in actors of a Ray cluster, each up to `job_seconds`, s. Without address, a cluster starts here."""
-
-    address: str | None = None
-    environ: Mapping[str, str] = field(default_factory=dict)
-    job_seconds: float = JOB_TIMEOUT
-
-    def open(self, session: Session, workers: int) -> EpisodeExecutor:
-        """See `ExecutorFactory.open`."""
-        factory = functools.partial(unpacked_runner, pack_session(session))
-        return RayPool(factory, workers, address=self.address, environ=self.environ, job_seconds=self.job_seconds)
+def ray_executor(
+    session: Session,
+    workers: int,
+    address: str | None = None,
+    environ: Mapping[str, str] | None = None,
+    job_seconds: float = JOB_TIMEOUT,
+) -> EpisodeExecutor:
+    """Run attempts in actors of a Ray cluster, each up to `job_seconds`, s. Without address, a cluster starts here."""
+    factory = functools.partial(unpacked_runner, pack_session(session))
+    return RayPool(factory, workers, address=address, environ=environ, job_seconds=job_seconds)
 
 
-class InlineExecutorFactory:
-    """Runs attempts in this process, regardless of the number of workers."""
-
-    def open(self, session: Session, workers: int) -> EpisodeExecutor:
-        """See `ExecutorFactory.open`."""
-        return InlineExecutor(lambda: AttemptRunner(session, render=True))
+def inline_executor(session: Session, workers: int) -> EpisodeExecutor:
+    """Run attempts in this process, regardless of the number of workers."""
+    return InlineExecutor(lambda: AttemptRunner(session, render=True))
 
 
 @dataclass(frozen=True)

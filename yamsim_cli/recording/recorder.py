@@ -88,7 +88,7 @@ def fill_dataset(
                 # A resumed recording may have reached the retry limit in its earlier run.
                 collector.check_retry_limit()
                 workers = min(config.workers, collector.attempts_needed)
-                with executor_factory.open(session, workers) as executor:
+                with executor_factory(session, workers) as executor:
                     collector.run(executor)
             collector.finish()
             destination.finish(callbacks, stop)

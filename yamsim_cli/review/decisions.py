@@ -21,6 +21,7 @@ class DecisionFile(Closable):
 
     Attributes:
         path: the selection file.
+        undecided: what becomes of episodes without a decision.
         stale: numbers of episodes whose content has changed since they were decided. They are undecided again.
     """
 
@@ -44,7 +45,7 @@ class DecisionFile(Closable):
         self._lock = _lock(path)
         try:
             found = read_selection(path) if path.exists() else Selection(dataset.absolute().name, "keep", {})
-            self._undecided = undecided or found.undecided
+            self.undecided = undecided or found.undecided
             self._dataset = found.dataset
             self.decisions = {number: self._renewed(found, number) for number in found.decisions}
             if self.stale and len(self.stale) == len(self.decisions):
@@ -103,18 +104,13 @@ class DecisionFile(Closable):
         if made.is_empty:
             del decisions[number]
         try:
-            write_selection(self.path, Selection(self._dataset, self._undecided, decisions))
+            write_selection(self.path, Selection(self._dataset, self.undecided, decisions))
         except OSError as error:
             raise ResourceError(
                 f"{self.path} cannot be written: {error.strerror}; the decision is not stored"
             ) from error
         self.decisions = decisions
         return None if made.is_empty else made
-
-    @property
-    def undecided(self) -> str:
-        """What becomes of episodes without a decision."""
-        return self._undecided
 
     def close(self) -> None:
         """Let another review write the file."""

@@ -12,7 +12,7 @@ from ..core.dataset.checks.context import find_episodes
 from ..core.dataset.dataset_paths import MANIFEST_FILE
 from ..core.dataset.imported_records import RealEpisodeRecord, is_imported_dataset
 from ..core.dataset.reader import open_recorded_episode
-from ..core.dataset.records import AttemptRecord, EpisodeRecord, Manifest, OutcomeRecord, from_json
+from ..core.dataset.records import AttemptRecord, EpisodeRecord, Manifest, from_json
 from ..core.dataset.writing.ledger import Ledger
 from ..core.errors import ConfigError, DatasetError
 
@@ -156,7 +156,7 @@ def _row(number: int, frames: int, size: int | None, source: AttemptRecord | Epi
         size,
         success=outcome.success,
         distance_mm=None if outcome.dxy_m is None else round(1000 * outcome.dxy_m, 2),
-        margin=_smallest_margin(outcome),
+        margin=min((round(measure.margin, 5) for measure in outcome.measures), default=None),
         cause=outcome.cause or "",
         recoveries=len(outcome.recoveries),
         phrase=source.phrasing,
@@ -166,10 +166,6 @@ def _row(number: int, frames: int, size: int | None, source: AttemptRecord | Epi
         seed=source.seed,
         attempt=source.attempt,
     )
-
-
-def _smallest_margin(outcome: OutcomeRecord) -> float | None:
-    return min((round(measure.margin, 5) for measure in outcome.measures), default=None)
 
 
 def read_reports(reports: Sequence[Path]) -> dict[int, dict[str, Any]]:

@@ -20,17 +20,21 @@ Item = Mapping[str, Any]
 class NameValueTable:
     """Table of names and values; narrow terminals show values below long names."""
 
-    def __init__(self, rows: Iterable[tuple[str | Text, str | Text]], title: str | None = None) -> None:
+    def __init__(self, rows: Iterable[tuple[str | Text, str | Text]]) -> None:
         self._rows = [(_plain_text(name), _plain_text(value)) for name, value in rows]
-        self._title = title
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         widest = max((name.cell_len for name, _ in self._rows), default=0)
         if options.max_width >= _MIN_WIDE_COLUMNS or widest <= _MAX_NAME_SHARE * options.max_width:
-            yield _side_by_side(self._rows, self._title)
+            from rich.table import Table
+
+            table = Table(box=None, show_header=False, padding=(0, 2, 0, 0), pad_edge=False)
+            table.add_column(style="dim", no_wrap=True)
+            table.add_column(overflow="fold")
+            for row in self._rows:
+                table.add_row(*row)
+            yield table
             return
-        if self._title:
-            yield _heading(self._title)
         for name, value in self._rows:
             yield name
             yield _indent_block(value)
@@ -67,7 +71,9 @@ class ItemTable:
             yield table
             return
         if self._title:
-            yield _heading(self._title)
+            from rich.text import Text
+
+            yield Text(f"\n{self._title}", style="bold")
         for first, *others in self._rows:
             yield first
             named = zip(self._headings[1:], others, strict=True)
@@ -131,24 +137,6 @@ def format_value(value: Any) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(map(format_value, value))
     return ("yes" if value else "no") if isinstance(value, bool) else str(value)
-
-
-def _side_by_side(rows: Iterable[tuple[Text, Text]], title: str | None) -> Table:
-    from rich.table import Table
-
-    table_style: dict[str, Any] = {"title_justify": "left", "title_style": "bold", "pad_edge": False}
-    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0), title=title, **table_style)
-    table.add_column(style="dim", no_wrap=True)
-    table.add_column(overflow="fold")
-    for name, value in rows:
-        table.add_row(name, value)
-    return table
-
-
-def _heading(text: str) -> Text:
-    from rich.text import Text
-
-    return Text(f"\n{text}", style="bold")
 
 
 def _indent_block(what: Text | NameValueTable) -> Padding:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
-import numpy as np
 import viser
-from numpy.typing import NDArray
 
+from ..core.dataset.reader import RecordedImages
 from ..core.errors import DatasetError
 from .page_address import PageAddress
 from .scene_page import ScenePage
@@ -15,21 +14,11 @@ from .viewed_scene import EpisodePlayer
 from .viewpoint import Viewpoint
 
 
-class EpisodeImages(Protocol):
-    """Reads the images of an episode."""
-
-    cameras: tuple[str, ...]
-
-    def read_image(self, camera: str, frame: int) -> NDArray[np.uint8]:
-        """Return an RGB image (height, width, 3). Raise DatasetError if it is missing or damaged."""
-        ...
-
-
 class EpisodePage(ScenePage):
     """Plays an episode, with the images of the shown frame and a slider to choose the frame."""
 
     def __init__(
-        self, player: EpisodePlayer, viewpoint: Viewpoint, address: PageAddress, images: EpisodeImages
+        self, player: EpisodePlayer, viewpoint: Viewpoint, address: PageAddress, images: RecordedImages
     ) -> None:
         super().__init__(player, viewpoint, address)
         self._player = player

@@ -27,7 +27,6 @@ class CameraPictures(Protocol):
 
     def render(self, camera: str) -> NDArray[np.uint8]:
         """Return an RGB image (height, width, 3). Raise ResourceError if nothing can be rendered here."""
-        ...
 
 
 class RigPage(ScenePage):

@@ -13,7 +13,7 @@ from ..core.errors import count_noun
 from ..core.geometry.se3 import Array, pose, pose_from_quat, quat_from_rotation, rotation_z
 from .page_address import PageAddress
 from .scene_page import ScenePage
-from .teleop_interface import TeleopInterface, TeleopStatus
+from .teleop.teleop_scene import TeleopScene, TeleopStatus
 from .viewpoint import Viewpoint
 
 _GREEN, _RED = (46, 139, 87), (200, 40, 40)  # RGB, 0 to 255
@@ -42,7 +42,7 @@ _KEYS_HELP = (
 class TeleopPage(ScenePage):
     """Page to teleoperate an arm: a 3D handle for the target, recording buttons, and notices of obstacles."""
 
-    def __init__(self, arm: TeleopInterface, viewpoint: Viewpoint, address: PageAddress) -> None:
+    def __init__(self, arm: TeleopScene, viewpoint: Viewpoint, address: PageAddress) -> None:
         super().__init__(arm, viewpoint, address)
         self._arm = arm
         self._dragged = False

@@ -153,12 +153,3 @@ def test_the_footprint_knows_every_primitive(config):
     c, s = math.cos(math.radians(30)), math.sin(math.radians(30))
     corners = [(0.7 + c * x - s * y, 0.7 + s * x + c * y) for x in (-0.01, 0.01) for y in (-0.035, 0.035)]
     assert covered(whole.footprint_discs, corners)
-
-
-def test_things_come_to_lie_on_the_highest_cylinder(config):
-    plain = played(config.task, "target").model_dump()
-    disc = {"type": "cylinder", "radius": 0.2, "half_height": 0.1}
-    low, high = disc | {"centre": (0, 0, 0.1)}, disc | {"centre": (0, 0, 0.3)}
-    assert ObjectConfig.model_validate(plain | {"collision": [high, low]}).support_height == pytest.approx(0.4)
-    bar = {"type": "capsule", "start": (0, 0, 0), "end": (0, 0.1, 0), "radius": 0.1}
-    assert ObjectConfig.model_validate(plain | {"collision": [bar]}).support_height == 0.0

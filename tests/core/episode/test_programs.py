@@ -32,7 +32,7 @@ from yamsim_cli.datasets.verify import ACTIONS, IMAGES, SEED, EpisodeVerifier, T
 from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
 from yamsim_cli.policies.evaluate.policy_trial import TrialRunner
 from yamsim_cli.recording.collect import RecordCallbacks
-from yamsim_cli.recording.executor_factories import InlineExecutorFactory
+from yamsim_cli.recording.executor_factories import inline_executor
 from yamsim_cli.recording.recorder import record
 from yamsim_cli.recording.recording_output import RecordingOutput
 
@@ -50,7 +50,7 @@ def simulators(session: Session) -> Iterator[SimulatorCache]:
 
 def recorded(session: Session, out: Path) -> Path:
     watch = RecordCallbacks(lambda done, wanted, attempts: None, lambda text: None)
-    record(session, RecordingOutput(out, ExistingDatasetMode.NEW), InlineExecutorFactory(), watch, StopRequest())
+    record(session, RecordingOutput(out, ExistingDatasetMode.NEW), inline_executor, watch, StopRequest())
     return out
 
 

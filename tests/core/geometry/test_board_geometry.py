@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.geometry.board import Board
+from yamsim_cli.core.geometry.se3 import pose
 
 BOARD = Board("b", 217, 3, 3, "DICT_6X6_250", 0.0292, 0.0029)
 WIDE = Board("wide", 0, 4, 2, "DICT_4X4_50", 0.02, 0.005)
@@ -14,7 +15,7 @@ def test_board_cv_is_the_frame_of_opencvs_grid_board(board):
     grid = cv2.aruco.GridBoard(
         (board.columns, board.rows), board.marker_length, board.gap, dictionary, np.array(board.marker_ids)
     )
-    T = board.T_board_in_board_cv
+    T = pose((board.width / 2, board.height / 2, 0.0), np.diag([1.0, -1.0, -1.0]))
     ours = board.marker_corners() @ T[:3, :3].T + T[:3, 3]
     assert tuple(grid.getIds().ravel()) == board.marker_ids
     assert np.allclose(ours, np.array(grid.getObjPoints()), atol=1e-7)

@@ -20,7 +20,7 @@ from yamsim_cli.core.geometry.loft import (
     revolve,
     rounded_rectangle,
     shell_profile,
-    transform_surface,
+    translate_surface,
     tube,
 )
 
@@ -30,7 +30,7 @@ def block(x: float, y: float, z: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_block_has_the_volume_centre_and_inertia_of_a_block() -> None:
-    surface = transform_surface(block(0.2, 0.1, 0.3), (0.5, -0.2, 0.1))
+    surface = translate_surface(block(0.2, 0.1, 0.3), (0.5, -0.2, 0.1))
     found = uniform_mass_properties(*surface)
     assert count_open_edges(surface[1]) == 0
     assert found.volume == pytest.approx(0.006)

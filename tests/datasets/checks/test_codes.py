@@ -343,7 +343,8 @@ TESTED_ELSEWHERE = {"dataset.plain", "episode.gap", "episode.unchecked"} | {
 
 def check(path: Path, survey_of: Any, code: str, place: str, text: str) -> None:
     problems = survey_of(path).problems
-    assert [(p.code, p.location_text) for p in problems] == [(code, place)], [(p.code, p.text) for p in problems]
+    found = [(p.code, "/".join(part for part in (p.episode, p.file) if part) or "dataset") for p in problems]
+    assert found == [(code, place)], [(p.code, p.text) for p in problems]
     assert text in problems[0].text
     assert not Path("pwned").exists()
 

@@ -39,7 +39,7 @@ def outline(camera: CameraModel, board: Board, T: Array, sigma: float, rng: np.r
     on_board = board.width / math.sqrt(12) * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])
     points = np.column_stack([on_board, np.ones(4)]) @ plane.T
     noisy = points[:, :2] / points[:, 2:] + rng.normal(0, sigma, (4, 2))
-    return BoardOutline(board, on_board, noisy, sigma**2 * np.eye(8), tuple(range(9)))
+    return BoardOutline(board, on_board, noisy, sigma**2 * np.eye(8))
 
 
 def outlines(camera: CameraModel, poses: list[Array], sigma: float = 0.02) -> list[BoardOutline]:

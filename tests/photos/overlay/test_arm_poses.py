@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.board_photos import CAMERA, facing, photograph, picture, with_noise
+from tests.board_photos import CAMERA, facing, photograph, picture, scaled_camera, with_noise
 from yamsim_cli.camera_effects.lens_distortion import project_points
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose
@@ -164,7 +164,7 @@ def test_a_recorded_pose_stands_in_for_a_board_that_is_not_seen(russet: RigConfi
 def test_a_print_that_is_not_as_the_rig_says_is_told(russet: RigConfig) -> None:
     """A slightly wrong print has its pose if seen well from nearby, with a note; other prints give no pose."""
     (board, T), other = boards_of(russet)
-    large = CAMERA.scaled(3.0)
+    large = scaled_camera(CAMERA, 3.0)
     near = photograph(large, [(replace(board, gap=1.12 * board.gap), facing(0.0, 0.0, 0.25, 0.9))])
     (note,) = find_arms(russet, PHOTO, near, PhotoCamera.from_calibration(large, "file"), trust_margin=False).notes
     assert note.startswith("arm1's markers lie ") and "marker_length_mm and gap_mm" in note

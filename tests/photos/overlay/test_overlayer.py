@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.board_photos import pose_error
+from tests.board_photos import pose_error, scaled_camera
 from tests.rig_photos import RigPhoto, standing
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rendering import RenderConfig
@@ -336,7 +336,7 @@ def test_a_grey_photo_and_one_of_a_bare_rig(run: Runner, photo: Path, russet_sho
 def test_two_cameras_in_one_call(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
     """An episode's photos state their camera; the renderer is made anew where it changes."""
     half = cv2.resize(russet_shot.image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    small = russet_shot.camera.scaled(0.5)
+    small = scaled_camera(russet_shot.camera, 0.5)
     save(Path("half.png"), half)
     T = russet_shot.T_base_in_cam(0)
     photos = [

@@ -81,11 +81,6 @@ def _require_task_kind(document: Document) -> None:
         )
 
 
-def config_json_schema(kind: str) -> dict[str, Any]:
-    """Return the JSON schema of a kind of config, such as `rigs`. Raises ConfigError if no kind has that name."""
-    return config_model(kind).model_json_schema()
-
-
 def load_config(
     model: type[C],
     kind: str,

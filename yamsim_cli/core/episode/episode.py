@@ -2,7 +2,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from ..attempt_data import ActionSequence, AttemptJob, FailureCause, MotionMargins, StepState, WeldStates
 from ..config.goals.goal import Goal, GoalVerdict, evaluate_goal
 from ..config.goals.role_assignment import RoleAssignment
+from ..config.program_task import ProgramTiming
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene
 from ..sim.encoder_readings import delayed_positions, encoder_readings
@@ -21,22 +21,6 @@ from .monitor import StepMonitor, describe_exceeded_limits
 
 # Is called with MuJoCo's state at the start and after every physics step, and must not change it.
 PhysicsStepCallback = Callable[[mujoco.MjData], None]
-
-
-class Timing(Protocol):
-    """Durations of a task's physics steps, control ticks and frames."""
-
-    @property
-    def physics_steps_per_tick(self) -> int:
-        """Physics steps in a control tick."""
-
-    @property
-    def ticks_per_frame(self) -> int:
-        """Control ticks between recorded frames."""
-
-    @property
-    def tick_seconds(self) -> float:
-        """Length of a control tick, s."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +42,7 @@ class EpisodeResult:
             which it did not hold.
         held_ticks: control ticks for which the goal held without a break until the end.
         collision: the first contact of an arm with the table or another arm.
-        T_at_start, T_at_end: object -> pose in `world`.
+        T_at_end: object -> pose in `world`.
         speeds: object -> speed at the end, m/s.
     """
 
@@ -68,7 +52,6 @@ class EpisodeResult:
     held_ticks: int
     margins: MotionMargins | None
     collision: str | None
-    T_at_start: dict[str, Array]
     T_at_end: dict[str, Array]
     speeds: dict[str, float]
 
@@ -99,7 +82,7 @@ class Episode:
         self,
         scene: CompiledScene,
         start: Array,
-        timing: Timing,
+        timing: ProgramTiming,
         sides: Sequence[str],
         goal: EpisodeGoal | None,
         rules: EpisodeRules | None = None,
@@ -116,7 +99,6 @@ class Episode:
         self._grasp = make_grasp_simulator(scene, self._rules.weld_reach)
         self._monitor = StepMonitor(scene, timing.physics_steps_per_tick)
         self._held_monitor = HeldObjectSlipMonitor(scene, self.world)
-        self._T_at_start = self._object_poses()
         self._ctrl: list[Array] = []
         self._weld_on: list[Sequence[bool]] = []
         self._joints: list[Array] = []
@@ -232,7 +214,6 @@ class Episode:
             if self.ticks
             else None,
             collision=self._monitor.collision,
-            T_at_start=self._T_at_start,
             T_at_end=self._object_poses(),
             speeds={name: self.world.speed(name) for name in self.scene.object_names},
         )

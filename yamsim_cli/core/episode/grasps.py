@@ -23,7 +23,6 @@ class GraspSimulator(Protocol):
             ctrl: commands (nu,) of all drives for the tick.
             magnet: whether each arm's weld is commanded on (arms,).
         """
-        ...
 
 
 class FrictionGraspSimulator:

@@ -17,14 +17,25 @@ from .simulator import SimulatorCache
 _MESH_SIDE_LABELS = ("for the recorder", "there")
 
 
-class AttemptRunner(Closable):
+class SessionRunner(Closable):
+    """Base of runners of jobs, which own the simulators of a session."""
+
+    def __init__(self, session: Session) -> None:
+        self._simulators = SimulatorCache(session)
+
+    def close(self) -> None:
+        """Free the renderers."""
+        self._simulators.close()
+
+
+class AttemptRunner(SessionRunner):
     """Runs attempts from their seed and number; `render` renders successes. Raises as `require_stated_meshes`."""
 
     def __init__(self, session: Session, *, render: bool) -> None:
         self._render = render
         if render:
             require_stated_meshes(session)
-        self._simulators = SimulatorCache(session)
+        super().__init__(session)
         # The files that the expert's planner needs may be gone when the first job comes.
         self._simulators.get(AttemptJob(session.config.seed, 0)).prepare()
 
@@ -33,10 +44,6 @@ class AttemptRunner(Closable):
         simulator = self._simulators.get(job)
         simulated = simulate_expert(simulator, sample_attempt(simulator, job))
         return build_payload(simulator, simulated) if self._render else payload_without_files(simulated)
-
-    def close(self) -> None:
-        """Free the renderers."""
-        self._simulators.close()
 
 
 def require_stated_meshes(session: Session) -> None:

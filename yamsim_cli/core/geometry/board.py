@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .se3 import Array, pose
+from .se3 import Array
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,6 @@ class Board:
     def height(self) -> float:
         """Height over all markers, m."""
         return self.rows * self.marker_length + (self.rows - 1) * self.gap
-
-    @property
-    def T_board_in_board_cv(self) -> Array:
-        """`T_board_in_cam = T_board_cv_in_cam @ T_board_in_board_cv`."""
-        return pose((self.width / 2, self.height / 2, 0.0), np.diag([1.0, -1.0, -1.0]))
 
     def marker_corners(self) -> Array:
         """Return marker corners (n, 4, 3) in `board`, m, in the order of `marker_ids`, clockwise from the top left."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -87,14 +87,6 @@ class CameraModel:
             if self.intrinsics_covariance
             else np.array([[self.focal_sigma]])
         )
-
-    def scaled(self, factor: float) -> CameraModel:
-        """Return the camera of images resized by `factor`."""
-        (fx, skew, cx), (_, fy, cy), last = self.K
-        shift = (factor - 1) / 2
-        K = ((fx * factor, skew * factor, cx * factor + shift), (0.0, fy * factor, cy * factor + shift), last)
-        size = (round(self.width * factor), round(self.height * factor))
-        return replace(self, width=size[0], height=size[1], K=K)
 
 
 def opencv_from_mujoco(rotation: ArrayLike) -> Array:

@@ -22,17 +22,14 @@ class Linearized(Protocol):
     @property
     def cost(self) -> Array | float:
         """Cost to be minimized (...)."""
-        ...
 
     @property
     def normal_matrix(self) -> Array:
         """Matrix (..., k, k) of the normal equations."""
-        ...
 
     @property
     def right_hand_side(self) -> Array:
         """Right-hand side (..., k) of the normal equations: half the cost's gradient, negative."""
-        ...
 
 
 S = TypeVar("S")

@@ -68,10 +68,9 @@ def concatenate_surfaces(surfaces: Iterable[Surface]) -> Surface:
     return np.concatenate(vertices), np.concatenate(faces)
 
 
-def transform_surface(surface: Surface, by: ArrayLike, turn: ArrayLike | None = None) -> Surface:
-    """Return a surface rotated by `turn` (3, 3), then translated by `by` (3,), m."""
-    vertices = surface[0] if turn is None else surface[0] @ np.asarray(turn).T
-    return vertices + np.asarray(by), surface[1]
+def translate_surface(surface: Surface, by: ArrayLike) -> Surface:
+    """Return a surface translated by `by` (3,), m."""
+    return surface[0] + np.asarray(by), surface[1]
 
 
 def revolve(profile: ArrayLike, segments: int, lobes: int = 0, depth: float = 0.0) -> Surface:

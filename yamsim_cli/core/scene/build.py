@@ -189,7 +189,6 @@ def _finger_addresses(model: mujoco.MjModel, arm: ArmConfig, fingers: Fingers) -
         ctrl_range=drive.ctrlrange.copy(),
         opening_limits=fingers.range,
         full_opening=fingers.full_opening,
-        has_pads=fingers.pads,
     )
 
 

@@ -44,7 +44,6 @@ class FingerAddresses:
         ctrl_range: of the drive's commands (2,), m.
         opening_limits: mechanical limits of one finger's opening, m.
         full_opening: largest opening of one finger that commands use, m.
-        has_pads: whether the fingers can hold an object by friction.
     """
 
     qpos: Ids
@@ -55,7 +54,6 @@ class FingerAddresses:
     ctrl_range: Array
     opening_limits: tuple[float, float]
     full_opening: float
-    has_pads: bool
 
 
 @dataclass(frozen=True)

@@ -42,58 +42,53 @@ _REST_SECONDS = 0.5  # after the points of a pull are released
 
 
 class ClothState:
-    """Read access to the present state of a cloth."""
+    """Read access to the present state of a cloth. `addresses` are those of its points in MuJoCo's arrays."""
 
     def __init__(self, cloth: ClothAddresses, data: mujoco.MjData) -> None:
-        self._cloth, self._data = cloth, data
-
-    @property
-    def addresses(self) -> ClothAddresses:
-        """Addresses of the points in MuJoCo's arrays."""
-        return self._cloth
+        self.addresses, self._data = cloth, data
 
     @property
     def points(self) -> Array:
         """Positions (n, 3) of the points in `world`, m."""
-        return self._cloth.points(self._data.qpos)
+        return self.addresses.points(self._data.qpos)
 
     @property
     def point_grid(self) -> Array:
         """Positions (rows, columns, 3) of the points in `world`, m; rows run along the cloth's x axis."""
-        columns, rows = self._cloth.grid
+        columns, rows = self.addresses.grid
         return self.points.reshape(rows, columns, 3)
 
     @property
     def pose(self) -> Array:
         """See `ClothAddresses.pose`."""
-        return self._cloth.pose(self._data.qpos)
+        return self.addresses.pose(self._data.qpos)
 
     @property
     def aabb(self) -> tuple[Array, Array]:
         """Lowest and highest corner (3,) of the axis-aligned bounding box in `world`, m."""
-        points, radius = self.points, self._cloth.half_thickness
+        points, radius = self.points, self.addresses.half_thickness
         return points.min(axis=0) - radius, points.max(axis=0) + radius
 
     @property
     def local_box(self) -> Array:
         """Lowest and highest corner (2, 3) of the flat cloth's bounding box in the cloth's frame, m."""
-        rest, radius = self._cloth.flat_points, self._cloth.half_thickness
+        rest, radius = self.addresses.flat_points, self.addresses.half_thickness
         return np.array([rest.min(axis=0) - radius, rest.max(axis=0) + radius])
 
     @property
     def speed(self) -> float:
         """Speed of the fastest point, m/s."""
-        return float(np.linalg.norm(self._data.qvel[self._cloth.dof], axis=1).max())
+        return float(np.linalg.norm(self._data.qvel[self.addresses.dof], axis=1).max())
 
     @property
     def contact_sides(self) -> NDArray[np.bool_]:
         """Whether each of the two sides of each present contact is this cloth (n, 2)."""
-        found: NDArray[np.bool_] = self._data.contact.flex == self._cloth.flex
+        found: NDArray[np.bool_] = self._data.contact.flex == self.addresses.flex
         return found
 
     def is_held_by(self, arm: int) -> bool:
         """Return whether the hand of arm number `arm` holds a point of the cloth."""
-        return bool(self._data.eq_active[self._cloth.constraints[arm]].any())
+        return bool(self._data.eq_active[self.addresses.constraints[arm]].any())
 
 
 class ClothGraspConstraints:

@@ -39,6 +39,9 @@ class ContainerRegion:
 class SimWorld:
     """The state of a compiled scene by object names, for goals and skills; implements `config.goals.world.GoalWorld`.
 
+    Attributes:
+        data: MuJoCo's state, with the poses and contacts of its last forward pass.
+
     Args:
         things: names of the objects, in order. An object is the body of that name with all its descendants.
         sides: "left" or "right", in the order of `arms`.
@@ -55,7 +58,7 @@ class SimWorld:
         regions: Mapping[str, ContainerRegion] | None = None,
         cloths: Mapping[str, ClothAddresses] | None = None,
     ) -> None:
-        self._model, self._data = model, data
+        self._model, self.data = model, data
         self.arms, self.sides, self.object_names = tuple(arms), tuple(sides), tuple(things)
         self._regions = regions or {}
         self._cloths = {name: ClothState(cloth, data) for name, cloth in (cloths or {}).items()}
@@ -79,23 +82,18 @@ class SimWorld:
         self._handovers: dict[str, list[tuple[str, str]]] = {name: [] for name in things}
         self._starts: dict[str, Array] = {}
 
-    @property
-    def data(self) -> mujoco.MjData:
-        """MuJoCo's state, with the poses and contacts of its last forward pass."""
-        return self._data
-
     def pose(self, thing: str) -> Array:
         """Return the pose in `world` of an object, a region or a cloth."""
         if region := self._regions.get(thing):
             return self.pose(region.thing) @ region.T_in_object
         if cloth := self._cloths.get(thing):
             return cloth.pose
-        body = self._data.body(self._require_object(thing))
+        body = self.data.body(self._require_object(thing))
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
     def handle_pose(self, thing: str, handle: str) -> Array:
         """Return the pose in `world` of a handle of an object; z points into the handle."""
-        site = self._data.site(f"{self._require_object(thing)}_{handle}")
+        site = self.data.site(f"{self._require_object(thing)}_{handle}")
         return pose(site.xpos, site.xmat.reshape(3, 3))
 
     def start_pose(self, thing: str) -> Array:
@@ -123,14 +121,14 @@ class SimWorld:
         """Return the lowest and highest corner (n, 2, 3) of each collision geom in `world`, m."""
         geoms = self._geoms[self._require_object(thing)]
         solid = geoms[self._model.geom_contype[geoms] != 0]
-        return np.array([geom_aabb(self._model, self._data, int(geom)) for geom in solid])
+        return np.array([geom_aabb(self._model, self.data, int(geom)) for geom in solid])
 
     def speed(self, thing: str) -> float:
         """Return the linear speed of an object, or of the fastest point of a cloth, m/s."""
         if cloth := self._cloths.get(thing):
             return cloth.speed
         dof = self._model.joint(self._require_object(thing)).dofadr[0]
-        return float(np.linalg.norm(self._data.qvel[dof : dof + 3]))
+        return float(np.linalg.norm(self.data.qvel[dof : dof + 3]))
 
     def are_touching(self, one: str, other: str) -> bool:
         """Return whether two objects touch. A contact with an object counts for all its regions."""
@@ -143,7 +141,7 @@ class SimWorld:
         if cloth := self._cloths.get(thing):
             return cloth.contact_sides
         found: NDArray[np.bool_] = (
-            self._geom_object[self._data.contact.geom] == self._numbers[self._require_object(thing)]
+            self._geom_object[self.data.contact.geom] == self._numbers[self._require_object(thing)]
         )
         return found
 
@@ -161,7 +159,7 @@ class SimWorld:
 
     def holding_sides_by_object(self) -> dict[str, frozenset[str]]:
         """Return object -> sides of the hands that hold it."""
-        pairs = self._data.contact.geom
+        pairs = self.data.contact.geom
         things, fingers = self._geom_object[pairs], self._geom_finger[pairs]
         # Whether each object touches each finger, two per arm; the last row and column stand for other geoms.
         pressed = np.zeros((len(self.object_names) + 1, 2 * len(self.arms) + 1), bool)
@@ -179,13 +177,13 @@ class SimWorld:
 
     def _is_welded(self, thing: str, arm: int) -> bool:
         weld = self.arms[arm].weld
-        if weld is None or not self._data.eq_active[weld]:
+        if weld is None or not self.data.eq_active[weld]:
             return False
         return bool(self._model.eq_obj2id[weld] == self._model.body(thing).id)
 
     def sides_with_finger_under_cloth(self, thing: str) -> frozenset[str]:
         """Return the sides of the hands that have a finger under a cloth and would lift it."""
-        contact = self._data.contact
+        contact = self.data.contact
         flexes = self._cloths[thing].contact_sides
         # A contact normal points from the first side to the second.
         up = np.where(flexes[:, 1], 1.0, -1.0) * contact.frame[:, 2]
@@ -240,11 +238,11 @@ class SimWorld:
         """Return how far a joint is open: 0 at the lower end of its range, 1 at the upper end."""
         found = self._model.joint(f"{self._require_object(thing)}_{joint}")
         low, high = found.range
-        return float((self._data.qpos[found.qposadr[0]] - low) / (high - low))
+        return float((self.data.qpos[found.qposadr[0]] - low) / (high - low))
 
     def part_pose(self, thing: str, part: str) -> Array:
         """Return the pose in `world` of a moving part of an object."""
-        body = self._data.body(f"{self._require_object(thing)}_{part}")
+        body = self.data.body(f"{self._require_object(thing)}_{part}")
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
     def update_handovers(self) -> dict[str, frozenset[str]]:
@@ -296,7 +294,7 @@ class SimWorld:
         return bodies
 
     def _body_pose(self, body: int) -> Array:
-        return pose(self._data.xpos[body], self._data.xmat[body].reshape(3, 3))
+        return pose(self.data.xpos[body], self.data.xmat[body].reshape(3, 3))
 
     def volume_samples(self, thing: str) -> Iterator[tuple[Array, float]]:
         """Yield, for each body of an object, evenly spread points (n, 3) in `world`, m, and the volume, m3."""

@@ -1,10 +1,10 @@
 from __future__ import annotations
 
 import contextlib
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
-from types import TracebackType
 from typing import Generic, Protocol, TypeVar, cast
 
 from ..closable import Closable
@@ -21,7 +21,6 @@ class SingleJobRunner(Protocol[JobIn, ResultOut]):
 
     def run(self, job: JobIn) -> ResultOut:
         """Return the result of a job, which depends only on the job."""
-        ...
 
 
 # Creates the runner of a worker, as a context manager; must be picklable.
@@ -45,23 +44,24 @@ class LostJobError(PartialJobError):
         self.reason = reason
 
 
-class Executor(Protocol[J, R]):
-    """Workers that run jobs in parallel; as a context manager, ends all workers at exit."""
+class Executor(Closable, Generic[J, R]):
+    """Workers that run jobs in parallel. Closing ends all workers at once, even during a job: they hold no data."""
 
     @property
+    @abstractmethod
     def idle(self) -> int:
         """Number of jobs that can be submitted now."""
-        ...
 
     @property
+    @abstractmethod
     def in_flight(self) -> int:
         """Number of submitted jobs without a returned result."""
-        ...
 
+    @abstractmethod
     def submit(self, job: J) -> None:
         """Give a job to an idle worker; requires `idle` above 0."""
-        ...
 
+    @abstractmethod
     def next_result(self, timeout: float | None = None) -> tuple[J, R]:
         """Wait for the next job that finishes, and return the job and its result.
 
@@ -75,17 +75,6 @@ class Executor(Protocol[J, R]):
             LostJobError: a job ended every worker that tried it.
             PartialJobError: no worker can be kept alive.
         """
-        ...
-
-    def close(self) -> None:
-        """End all workers immediately, even during a job: workers hold no data that could be lost."""
-        ...
-
-    def __enter__(self) -> Executor[J, R]: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
 
 
 def run_all(
@@ -110,7 +99,7 @@ def run_all(
             yield cast("J", error.job), lost(error)
 
 
-class InlineExecutor(Closable, Generic[J, R]):
+class InlineExecutor(Executor[J, R]):
     """Runs a job in the caller's process, when the job's result is requested."""
 
     def __init__(self, factory: OpenRunner[J, R]) -> None:

@@ -15,9 +15,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
-from ..closable import Closable
 from ..errors import PartialJobError, YamsimError
-from .executors import J, JobIn, LostJobError, R, WorkerBugError
+from .executors import Executor, J, JobIn, LostJobError, R, WorkerBugError
 
 JOB_TIMEOUT = 600.0  # s, of a job; a longer job means a hung driver or a swapping machine
 START_TIMEOUT = 300.0  # s, for imports, compilation of the scene, OpenGL
@@ -68,15 +67,12 @@ class Worker(Protocol[JobIn]):
     @property
     def name(self) -> str:
         """Name of the worker in messages."""
-        ...
 
     def send(self, job: JobIn) -> None:
         """Give the worker a job. Raises OSError if the worker has ended."""
-        ...
 
     def kill(self) -> None:
         """End the worker immediately, and wait for its end."""
-        ...
 
 
 W = TypeVar("W")
@@ -87,15 +83,12 @@ class WorkerBackend(Protocol[W, R]):
 
     def start(self, number: int) -> W:
         """Start a worker, and return before the worker is ready."""
-        ...
 
     def wait(self, workers: Sequence[W], timeout: float) -> Sequence[tuple[W, WorkerEvent[R]]]:
         """Return events of workers, at most one for each; empty if none arrives within `timeout` seconds."""
-        ...
 
     def close(self) -> None:
         """Free the resources that all workers share."""
-        ...
 
 
 @dataclass(eq=False)
@@ -117,8 +110,8 @@ class _Slot(Generic[J]):
     busy_seconds: float = 0.0  # s, spent so far on the start or on the task
 
 
-class BaseWorkerPool(Closable, Generic[J, R]):
-    """An `Executor` for any kind of worker, which replaces workers that die, hang, or exceed `job_seconds`."""
+class BaseWorkerPool(Executor[J, R]):
+    """Base of executors for any kind of worker, which replaces workers that die, hang, or exceed `job_seconds`."""
 
     def __init__(self, backend: WorkerBackend[Worker[J], R], workers: int, job_seconds: float = JOB_TIMEOUT) -> None:
         self._backend = backend

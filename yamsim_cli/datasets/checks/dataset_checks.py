@@ -186,7 +186,7 @@ def compare_ledger(
         return []
     logged = {attempt.episode: attempt for attempt in attempts}
     unlogged = [episode.name for episode in recorded if episode.number not in logged]
-    if unlogged and not problems.has_code_prefix("ledger."):
+    if unlogged and not any(problem.code.startswith("ledger.") for problem in problems.all_problems()):
         problems.add("ledger.unlogged", LEDGER_FILE, ", ".join(unlogged))
     found = []
     for episode in recorded:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -40,7 +41,10 @@ from .episode_facts import (
     values_by_frame,
 )
 from .episode_files import check_missing_files, list_files, read_file
-from .images import CameraChecks, ImageReader, TruthChecks, check_frozen_images
+from .images import CameraChecks, TruthChecks, check_frozen_images
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.images.jpeg import JpegReader
 
 # m, largest difference between the object-target distance in the recorded outcome and in the last frame. The outcome is
 # measured shortly after that frame; a resting object moves by less than 0.1 mm until then.
@@ -48,13 +52,13 @@ _OUTCOME_TOLERANCE = 0.005
 _SHOWN_HASH_DIGITS = 12  # of a SHA-256 in messages
 
 
-def check_episode(episode: EpisodeDirectory, context: CheckContext, reader: ImageReader) -> EpisodeFacts:
+def check_episode(episode: EpisodeDirectory, context: CheckContext, reader: JpegReader) -> EpisodeFacts:
     """Check every file of an episode. A fault in one file does not stop other checks."""
     return _EpisodeCheck(episode, context, reader).run()
 
 
 class _EpisodeCheck:
-    def __init__(self, episode: EpisodeDirectory, context: CheckContext, reader: ImageReader) -> None:
+    def __init__(self, episode: EpisodeDirectory, context: CheckContext, reader: JpegReader) -> None:
         self._episode = episode
         self._context = context
         self._reader = reader

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,9 @@ from yamsim_cli.core.dataset.ground_truth_files import TruthLabels, array_faults
 from yamsim_cli.core.dataset.records import EpisodeRecord, from_json
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.images.image import ImageHeader, ImageStats
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.images.jpeg import JpegReader
 
 _MAX_PIXELS = 2**26  # a header can declare gigabytes
 
@@ -31,22 +33,6 @@ CheckFileHash = Callable[[str, bytes], object]  # gets path and content of a fil
 ReadFileFunction = Callable[[str], bytes | None]  # path of a file -> content, or None
 
 
-class ImageReader(Protocol):
-    """Image decoder, which callers inject because this package does not import OpenCV."""
-
-    def header(self, data: bytes) -> ImageHeader | None:
-        """Return size and channels; None without a complete image."""
-        ...
-
-    def compute_stats(self, data: bytes) -> ImageStats | None:
-        """Return statistics of the decoded image; None if it is damaged."""
-        ...
-
-    def read_labels(self, data: bytes) -> NDArray[np.uint8] | None:
-        """Return a decoded segmentation image (height, width); None if it is damaged."""
-        ...
-
-
 class CameraChecks:
     """Checks the images of one camera, one by one.
 
@@ -55,7 +41,7 @@ class CameraChecks:
     """
 
     def __init__(
-        self, camera: str, size: tuple[int, int] | None, reader: ImageReader, problems: ProblemCollector
+        self, camera: str, size: tuple[int, int] | None, reader: JpegReader, problems: ProblemCollector
     ) -> None:
         self._camera = camera
         self._stated = size
@@ -138,7 +124,7 @@ class TruthChecks:
     def __init__(
         self,
         record: EpisodeRecord,
-        reader: ImageReader,
+        reader: JpegReader,
         read: ReadFileFunction,
         hash_fits: CheckFileHash,
         problems: ProblemCollector,

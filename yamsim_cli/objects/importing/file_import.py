@@ -63,11 +63,10 @@ def import_file(
     return ImportedObjectFile(path, config, made)
 
 
-def import_with_defaults(
-    file: Path, locations: Locations, share: ShareCallback = lambda done: None
-) -> ImportedObjectFile:
+def import_with_defaults(file: Path, locations: Locations) -> ImportedObjectFile:
     """Import a file by default options, its config beside the meshes. Raises `UsageError` or `ResourceError`."""
-    config, made, yaml = _build_and_publish(file, UnitOptions(), ImportOptions(object_name_of(file)), locations, share)
+    options = ImportOptions(object_name_of(file))
+    config, made, yaml = _build_and_publish(file, UnitOptions(), options, locations, lambda done: None)
     path = locations.assets / _IMPORTED_CONFIG_FOLDER / f"{config.name}-{sha256_bytes(yaml.encode())[:12]}.yaml"
     if not path.exists():
         write_config(path, yaml)

@@ -114,6 +114,7 @@ def read_mesh(data: bytes, suffix: str, folder: ConfinedFolder, base: Path) -> M
         raise
     except MemoryError:
         raise RefusedError("too-much-memory", "reading it takes too much memory for a file of its size") from None
+    # trimesh can raise almost any exception on a damaged file.
     except Exception as error:
         raise folder.refused or _damaged_file_error(suffix, error) from error
     if folder.refused is not None:

@@ -75,26 +75,16 @@ def place_arm(
 class ArmRenderer(Closable):
     """Renders arms for photos of one camera. The rendered world frame is the camera frame.
 
-    Args:
-        supersample: rendered pixels per photo pixel along each axis; by default 2, in large photos 1.
-
     Raises:
         ConfigError: the camera's pictures are too large or too wide to render.
         ResourceError: no OpenGL context is available.
     """
 
     def __init__(
-        self,
-        rig: RigConfig,
-        scene: SceneConfig,
-        quality: RenderConfig,
-        camera: CameraModel,
-        locations: Locations,
-        supersample: int | None = None,
+        self, rig: RigConfig, scene: SceneConfig, quality: RenderConfig, camera: CameraModel, locations: Locations
     ) -> None:
         self._rig = rig
-        default = 2 if max(camera.width, camera.height) <= _MAX_SUPERSAMPLED_SIDE else 1
-        self._warp = LensWarp(camera, supersample or default)
+        self._warp = LensWarp(camera, 2 if max(camera.width, camera.height) <= _MAX_SUPERSAMPLED_SIDE else 1)
         size = (self._warp.ideal.width, self._warp.ideal.height)
         if max(size) > _MAX_SIDE:
             raise ConfigError(

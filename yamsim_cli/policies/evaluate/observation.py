@@ -79,6 +79,7 @@ class ObservationRenderer:
             raise RuntimeError(f"{key} cannot be rendered once its trial is over: {hint}")
         try:
             return self._render(qpos, camera)
+        # A policy may swallow the exception; `failure` keeps it.
         except Exception as error:
             self.failure = error
             raise

@@ -54,7 +54,6 @@ class PrivilegedPolicy(Protocol):
 
     def prepare_trial(self, trial: PrivilegedTrial) -> Array | None:
         """Prepare for a trial, before `reset`. Return MuJoCo's initial positions (nq,), or None for the sampled."""
-        ...
 
 
 class _ActionSequencePolicy:

@@ -43,6 +43,13 @@ class RunningTrial:
         end = self.episode.end
         return end is not None and end.reason is EndReason.TIME_LIMIT
 
+    def failure_reason(self) -> str:
+        """Return why the trial is no success; empty for a success."""
+        if self.is_successful:
+            return ""
+        end = self.episode.end
+        return self.episode.goal_status if end is None or not end.detail else end.detail
+
     def render(self, cameras: Sequence[str], qpos: Array | None = None) -> dict[str, Image]:
         """Return the image (height, width, 3) of each camera, of the current state or of MuJoCo's positions (nq,)."""
         return render_cameras(self.simulator, self.attempt, self.episode.data.qpos if qpos is None else qpos, cameras)
@@ -97,30 +104,9 @@ class SteppedTask(Closable):
         raise self._no_start_error(job, "can be demonstrated")
 
     @property
-    def is_successful(self) -> bool:
-        """See `RunningTrial.is_successful`."""
-        return self.trial.is_successful
-
-    @property
-    def out_of_time(self) -> bool:
-        """See `RunningTrial.out_of_time`."""
-        return self.trial.out_of_time
-
-    @property
     def trial(self) -> RunningTrial:
         """The present trial."""
         return RunningTrial(self.simulator, self.attempt, self.episode)
-
-    def failure_reason(self) -> str:
-        """Return why the trial is no success; empty for a success."""
-        if self.is_successful:
-            return ""
-        end = self.episode.end
-        return self.episode.goal_status if end is None or not end.detail else end.detail
-
-    def render(self, cameras: Sequence[str], qpos: Array | None = None) -> dict[str, Image]:
-        """See `RunningTrial.render`."""
-        return self.trial.render(cameras, qpos)
 
     def close(self) -> None:
         """Release the memory of the renderers."""

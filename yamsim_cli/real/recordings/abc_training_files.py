@@ -28,12 +28,8 @@ _CAMERAS = ("top", "left", "right")  # in the video from the top, if the metadat
 _NAMES = {"left": "left_wrist_camera", "right": "right_wrist_camera"}
 
 
-def is_abc_training(path: Path) -> bool:
-    """Return whether a folder is an episode in the layout of ABC's trainer, or holds such episodes."""
-    return bool(_episode_folders(path))
-
-
-def _episode_folders(path: Path) -> list[Path]:
+def abc_training_folders(path: Path) -> list[Path]:
+    """Return a folder itself if it is an episode in the layout of ABC's trainer, else the episodes in it."""
     return [path] if (path / _ROWS).is_file() else sorted(file.parent for file in path.glob(f"*/{_ROWS}"))
 
 
@@ -43,7 +39,7 @@ def read_abc_training(path: Path, rig: RigConfig) -> list[Recording]:
     Raises:
         DatasetError: an episode is damaged or does not fit the rig.
     """
-    folders = _episode_folders(path)
+    folders = abc_training_folders(path)
     if not folders:
         raise DatasetError(f"{path}: contains no {_ROWS}; give an episode's folder, or a folder of episodes")
     return [_read_episode(folder, rig) for folder in folders]

@@ -27,12 +27,8 @@ _MAX_RATE = 10_000.0  # control ticks per second, far above the program's 30
 _MAX_DEPTH = 3  # folders between a given folder and an episode: policy, task, episode
 
 
-def is_maker_data(path: Path) -> bool:
-    """Return whether a folder is an episode of the maker's, or holds such episodes."""
-    return bool(_episode_folders(path))
-
-
-def _episode_folders(path: Path) -> list[Path]:
+def maker_folders(path: Path) -> list[Path]:
+    """Return a folder itself if it is an episode of the maker's, else the episodes in it."""
     patterns = [f"{'*/' * depth}*-joint_pos.npy" for depth in range(_MAX_DEPTH + 1)]
     return next((found for pattern in patterns if (found := sorted({file.parent for file in path.glob(pattern)}))), [])
 
@@ -46,7 +42,7 @@ def read_maker(path: Path, rig: RigConfig) -> list[Recording]:
     Raises:
         DatasetError: an episode is incomplete or damaged, or does not fit the rig.
     """
-    folders = _episode_folders(path)
+    folders = maker_folders(path)
     if not folders:
         raise DatasetError(f"{path}: contains no *-joint_pos.npy; give an episode's folder, or a folder of episodes")
     return [_read_episode(folder, rig) for folder in folders]

@@ -17,10 +17,10 @@ from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.recorded_motion import RecordedMotion
 
-from .abc_training_files import is_abc_training, read_abc_training
+from .abc_training_files import abc_training_folders, read_abc_training
 from .csv_file import read_csv
 from .lerobot_files import INFO_FILE, read_lerobot
-from .maker_files import is_maker_data, read_maker
+from .maker_files import maker_folders, read_maker
 from .mcap_file import mcap_files, read_mcap
 from .raiden_files import ROBOT_DATA, read_lowdim, read_raiden_raw
 from .recording import Recording, split_arms
@@ -59,9 +59,9 @@ def detect_format(path: Path) -> str:
         raise DatasetError(f"{path}: is already an episode or a dataset of yamsim, and needs no import")
     elif (path / "lowdim").is_dir() or any(path.glob("*/lowdim")):
         return "lowdim"
-    elif is_maker_data(path):
+    elif maker_folders(path):
         return "maker"
-    elif is_abc_training(path):
+    elif abc_training_folders(path):
         return "abc_training"
     elif mcap_files(path):
         return "mcap"

@@ -8,7 +8,6 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import replace
-from typing import Protocol
 
 from yamsim_cli.core.attempt_data import AttemptJob, AttemptPayload
 from yamsim_cli.core.closable import Closable
@@ -18,8 +17,7 @@ from yamsim_cli.core.dataset.records import AttemptRecord, attempt_record, episo
 from yamsim_cli.core.dataset.writing.staged_writer import EpisodeWriter
 from yamsim_cli.core.episode.attempt_payload import build_payload, payload_without_files
 from yamsim_cli.core.episode.execution import SimulatedAttempt, with_distractors
-from yamsim_cli.core.episode.runner import require_stated_meshes
-from yamsim_cli.core.episode.simulator import SimulatorCache
+from yamsim_cli.core.episode.runner import SessionRunner, require_stated_meshes
 from yamsim_cli.core.workers.executors import Executor
 from yamsim_cli.core.workers.process_pool import ProcessPool
 
@@ -28,7 +26,7 @@ TELEOP_SOURCE = "teleop"
 _POLL_SECONDS = 0.1  # s, between checks for a closed writer
 
 
-class TeleopAttemptRenderer(Closable):
+class TeleopAttemptRenderer(SessionRunner):
     """Renders successful teleoperated attempts.
 
     Args:
@@ -39,7 +37,7 @@ class TeleopAttemptRenderer(Closable):
         self._render = render
         if render:
             require_stated_meshes(session)
-        self._simulators = SimulatorCache(session)
+        super().__init__(session)
         # Compile the scene now, since its files may be gone when the first attempt arrives.
         self._simulators.get(AttemptJob(session.config.seed, 0))
 
@@ -50,10 +48,6 @@ class TeleopAttemptRenderer(Closable):
             done = replace(done, attempt=with_distractors(simulator, done.attempt, done.recorded_states))
         return build_payload(simulator, done) if self._render else payload_without_files(done)
 
-    def close(self) -> None:
-        """Free the renderers."""
-        self._simulators.close()
-
 
 TeleopExecutor = Executor[SimulatedAttempt, AttemptPayload]
 
@@ -61,19 +55,6 @@ TeleopExecutor = Executor[SimulatedAttempt, AttemptPayload]
 def open_worker(session: Session) -> ProcessPool[SimulatedAttempt, AttemptPayload]:
     """Start a worker process, so that rendering does not delay the arm."""
     return ProcessPool(functools.partial(TeleopAttemptRenderer, session), 1)
-
-
-class AttemptReceiver(Protocol):
-    """Object to which a scene submits its teleoperated attempts."""
-
-    @property
-    def next_attempt(self) -> int:
-        """Number of the next attempt."""
-        ...
-
-    def submit(self, simulated: SimulatedAttempt) -> None:
-        """Accept a finished attempt for further processing."""
-        ...
 
 
 class AttemptWriter(Closable):

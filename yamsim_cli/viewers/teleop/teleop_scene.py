@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,8 +20,8 @@ from yamsim_cli.core.expert.planning.arm_solvers import start_postures
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.compiled import CompiledScene
 
-from ..teleop_interface import TeleopInterface, TeleopStatus
-from .attempt_writer import AttemptReceiver
+from ..viewed_scene import ViewedScene
+from .attempt_writer import AttemptWriter
 from .recording_journal import CommandTick, RecordingJournal, UnfinishedRecording
 from .teleop_arm import TeleopArm
 
@@ -74,7 +74,45 @@ class TeleopAttemptScene:
         return SimulatedAttempt(attempt, build_outcome(self._simulator, played), played)
 
 
-class TeleopScene(TeleopInterface):
+@dataclass(frozen=True)
+class TeleopStatus:
+    """State of a teleoperation session, for display.
+
+    Attributes:
+        arm: "left" or "right"; empty for a rig with one arm.
+        seconds: length of the recording so far, s.
+        episodes, failures, waiting: numbers of attempts; `waiting` ones are not judged yet.
+        target_distance: from the target pose of the hand to the nearest reachable pose, m; 0 if reachable.
+        at_limit: joints at a joint limit.
+        obstacle: that blocks the arm; empty without one.
+        gripper_open, magnet: commands of the gripper and the weld; `magnet` is None if grasps hold by friction alone.
+        prompt: empty unless it differs between attempts.
+        goal: how far the goal of the task is met; empty for tasks without a goal.
+    """
+
+    arm: str
+    recording: bool
+    seconds: float
+    episodes: int
+    failures: int
+    waiting: int
+    target_distance: float
+    at_limit: tuple[str, ...]
+    obstacle: str
+    gripper_open: bool
+    magnet: bool | None
+    is_weld_holding: bool
+    message: str
+    prompt: str = ""
+    goal: str = ""
+
+    @property
+    def can_follow(self) -> bool:
+        """Whether the hand can reach its target."""
+        return not (self.target_distance or self.at_limit or self.obstacle)
+
+
+class TeleopScene(ViewedScene):
     """A scene with teleoperated arms, and its state. All methods are thread-safe.
 
     Of two arms, one is teleoperated at a time, and the other continues to its last target. Methods without a side
@@ -86,6 +124,7 @@ class TeleopScene(TeleopInterface):
         config: config of the session.
         attempt_scene: scene and arms of the present attempt.
         sides: sides of the arms, in the order of recordings.
+        is_recording: whether an attempt is being recorded, including the ticks after a stop.
         active_arm: index of the teleoperated arm in that order.
         episodes, failures, waiting, discarded: numbers of attempts; `waiting` ones are not judged yet.
 
@@ -97,7 +136,7 @@ class TeleopScene(TeleopInterface):
     def __init__(
         self,
         session: Session,
-        receiver: AttemptReceiver,
+        receiver: AttemptWriter,
         journal: RecordingJournal | None = None,
         time_limit: float = TIME_LIMIT,
         end: EndRule = EndRule.ACTOR,
@@ -112,7 +151,7 @@ class TeleopScene(TeleopInterface):
         self.attempt_scene = TeleopAttemptScene(session)
         self.sides = self.attempt_scene.sides
         self.active_arm = config.acting_scene_arms[0]
-        self._recording = False
+        self.is_recording = False
         self.message = ""
         self.episodes = self.failures = self.waiting = 0
         self.discarded = 0
@@ -137,11 +176,6 @@ class TeleopScene(TeleopInterface):
         return self._ticks * self.tick_seconds
 
     @property
-    def is_recording(self) -> bool:
-        """Whether an attempt is being recorded, including the ticks after a stop."""
-        return self._recording
-
-    @property
     def target_pose(self) -> Array:
         """Target pose (4, 4) of the pinch frame in `world`."""
         return self._selected_arm.target_pose
@@ -153,7 +187,7 @@ class TeleopScene(TeleopInterface):
             arm = self._selected_arm
             return TeleopStatus(
                 arm=arm.side if len(self.sides) > 1 else "",
-                recording=self._recording,
+                recording=self.is_recording,
                 seconds=self._episode.simulated_seconds,
                 episodes=self.episodes,
                 failures=self.failures,
@@ -231,7 +265,7 @@ class TeleopScene(TeleopInterface):
         time.
         """
         with self.lock:
-            if not self._recording or self._settling_ticks_left:
+            if not self.is_recording or self._settling_ticks_left:
                 self.message = "no recording was in progress"
                 return
             self._end_recording()
@@ -260,7 +294,7 @@ class TeleopScene(TeleopInterface):
     def pause_unattended(self) -> None:
         """Pause a recording because the last page was closed."""
         with self.lock:
-            if self._recording and not self.paused:
+            if self.is_recording and not self.paused:
                 self.paused = True
                 self.message = "paused, because no browser was connected; click Play to continue"
 
@@ -301,7 +335,7 @@ class TeleopScene(TeleopInterface):
     def discard_recording(self) -> None:
         """End and delete the recording. The next attempt has the same layout."""
         with self.lock:
-            if not self._recording:
+            if not self.is_recording:
                 self.message = "no recording was in progress"
                 return
             self.discarded += 1
@@ -313,7 +347,7 @@ class TeleopScene(TeleopInterface):
     def reset(self) -> None:
         """Reset the scene to the start of the attempt. Discard a present recording."""
         with self.lock:
-            if self._recording:
+            if self.is_recording:
                 self.discard_recording()
             else:
                 self._begin_attempt()
@@ -332,13 +366,13 @@ class TeleopScene(TeleopInterface):
         """Reset the scene to the start of the next attempt. End rule and time limit apply to recordings only."""
         attempt = self.attempt_scene.begin_attempt(AttemptJob(self.config.seed, self._receiver.next_attempt))
         self._set_attempt(attempt, self._rules if recording else EpisodeRules())
-        self._recording = recording
+        self.is_recording = recording
 
     def _set_attempt(self, attempt: Attempt, rules: EpisodeRules) -> None:
         self._attempt = attempt
         self._episode = self.attempt_scene.set_up(attempt, rules)
         self.model, self.data = self.attempt_scene.scene.model, self._episode.data
-        self._recording, self._settling_ticks_left = False, 0
+        self.is_recording, self._settling_ticks_left = False, 0
 
     @property
     def _arms(self) -> tuple[TeleopArm, ...]:
@@ -353,7 +387,7 @@ class TeleopScene(TeleopInterface):
         magnet = tuple(arm.magnet for arm in self._arms)
         reference = np.array([arm.command_reference for arm in self._arms])
         self._episode.step(ctrl, magnet, reference)
-        if self._recording and self._journal:
+        if self.is_recording and self._journal:
             self._journal.add_tick(CommandTick(ctrl, magnet, reference))
 
     def _simulate_tick(self) -> None:
@@ -368,8 +402,8 @@ class TeleopScene(TeleopInterface):
             self._settling_ticks_left -= 1
             if not self._settling_ticks_left:
                 self._finish_recording()
-        elif self._recording and self._episode.end is not None:
+        elif self.is_recording and self._episode.end is not None:
             self._finish_recording()
-        elif self._recording and self._episode.ticks >= self._max_ticks:
+        elif self.is_recording and self._episode.ticks >= self._max_ticks:
             self._end_recording()
             self.message = f"stopped after {self._max_ticks * self.tick_seconds:.0f} s, the time limit of a recording"

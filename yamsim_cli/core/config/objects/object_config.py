@@ -274,24 +274,6 @@ class ObjectConfig(Config):
         return tuple(discs)
 
     @property
-    def support_height(self) -> float:
-        """Height above the origin of the surface that supports objects placed in the middle, m."""
-        if self.support is not None:
-            return self.support
-        return max((top for part in self.collision if (top := _flat_top(part)) is not None), default=0.0)
-
-    @property
     def can_support(self) -> bool:
         """Whether the object has a flat top or a floor, so that other objects can be placed on or in it."""
-        return self.support is not None or any(_flat_top(part) is not None for part in self.collision)
-
-
-def _flat_top(part: CollisionPart) -> float | None:
-    """Return the height of a primitive's flat upper face above the object's origin, m; None without such a face."""
-    match part:
-        case Cylinder():
-            return part.centre[2] + part.half_height
-        case Box():
-            return part.centre[2] + part.half_size[2]
-        case _:
-            return None
+        return self.support is not None or any(isinstance(part, Cylinder | Box) for part in self.collision)

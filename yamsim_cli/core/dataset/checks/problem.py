@@ -160,11 +160,6 @@ class DatasetProblem:
         more = f" (in {self.count} frames)" if self.count > 1 else ""
         return f"{self.kind.title}: {self.value}{valid}{more}" if self.value else f"{self.kind.title}{more}"
 
-    @property
-    def location_text(self) -> str:
-        """The episode and file with the fault."""
-        return "/".join(part for part in (self.episode, self.file) if part) or "dataset"
-
     def to_json_data(self) -> dict[str, Any]:
         """Return the fault as JSON-ready data."""
         return {
@@ -198,10 +193,6 @@ class ProblemCollector:
             self._found[key] = DatasetProblem(
                 code, printable_line(self._episode), printable_line(file), printable_line(value), printable_line(valid)
             )
-
-    def has_code_prefix(self, prefix: str) -> bool:
-        """Return whether the code of any fault begins with `prefix`."""
-        return any(problem.code.startswith(prefix) for problem in self._found.values())
 
     def all_problems(self) -> list[DatasetProblem]:
         """Return the faults in the order in which they were added."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..loft import Surface, loft, loft_closed, rounded_rectangle, transform_surface, tube
+from ..loft import Surface, loft, loft_closed, rounded_rectangle, translate_surface, tube
 from ..se3 import Array
 from .generated_shape import GeneratedShape, PrimitiveData, ShapeGrasp, ShapePiece, box_data, capsules_along
 
@@ -48,7 +48,7 @@ def make_container(size: ContainerSizes) -> GeneratedShape:
     for k in range(1, size.cells):
         at = -x + wall / 2 + k * inner / size.cells
         between = block_surface((wall, 2 * y - wall, height - wall), 0.0, wall / 4)
-        pieces.append(ShapePiece("body", transform_surface(between, (at, 0, wall * 0.5))))
+        pieces.append(ShapePiece("body", translate_surface(between, (at, 0, wall * 0.5))))
         collision.append(box_data((at, 0, height / 2 - wall * 0.25), (wall, 2 * y - wall, height - wall * 0.5)))
     if size.lip:
         collision += _lip_boxes(size, x, y)
@@ -159,9 +159,9 @@ def make_lid(
     z0, z1 = deep + plate, height
     bar = block_surface((width, length, z1 - z0 + plate / 2), width / 2.2, 0.002)
     pieces = (
-        ShapePiece("body", transform_surface(over, (0, 0, deep))),
+        ShapePiece("body", translate_surface(over, (0, 0, deep))),
         ShapePiece("body", rim),
-        ShapePiece("handle", transform_surface(bar, (0, 0, z0 - plate / 2))),
+        ShapePiece("handle", translate_surface(bar, (0, 0, z0 - plate / 2))),
     )
     collision = (
         box_data((0, 0, deep + plate / 2), (2 * x - 2 * corner / 3, 2 * y - 2 * corner / 3, plate)),
@@ -227,11 +227,11 @@ def make_textile(size: tuple[float, float, float], folds: int) -> GeneratedShape
     for k in range(folds):
         shift = rng.uniform(-1, 1, 2) * 0.0012
         soft = block_surface((size[0] - 0.003, size[1] - 0.003, layer * 1.02), 0.004, layer * 0.48)
-        pieces.append(ShapePiece("body", transform_surface(soft, (*shift, k * layer))))
+        pieces.append(ShapePiece("body", translate_surface(soft, (*shift, k * layer))))
     for side in (-1, 1):
         stripe = block_surface((size[0] * 0.985, size[1] * 0.03, layer * 0.06), 0.001, layer * 0.02)
         pieces.append(
-            ShapePiece("print", transform_surface(stripe, (0, side * size[1] * 0.38, size[2] - layer * 0.02)))
+            ShapePiece("print", translate_surface(stripe, (0, side * size[1] * 0.38, size[2] - layer * 0.02)))
         )
     return GeneratedShape(tuple(pieces), (box_data((0, 0, size[2] / 2), size),), (), support_height=size[2])
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from ..loft import Surface, concatenate_surfaces, loft, transform_surface, tube
+from ..loft import Surface, concatenate_surfaces, loft, translate_surface, tube
 from ..se3 import Array
 from .generated_shape import (
     GeneratedShape,
@@ -94,14 +94,12 @@ def _curved_sheet(
     height: Callable[[Array, float], Array],
     length: tuple[float, float],
     thick: float,
-    steps: int = 21,
-    across: int = 15,
 ) -> Surface:
     """Return a sheet of thickness `thick`: `outline_` returns its left and right edge, `height` its underside, m."""
     loops = []
-    u = np.linspace(-1, 1, across)
+    u = np.linspace(-1, 1, 15)
     # The steps are shorter at both ends, where outlines are more curved.
-    for t in (1 - np.cos(np.linspace(0, np.pi, steps))) / 2:
+    for t in (1 - np.cos(np.linspace(0, np.pi, 21))) / 2:
         left, right = outline_(float(t))
         x = (left + right) / 2 + (right - left) / 2 * u
         z = height(x, float(t))
@@ -187,7 +185,7 @@ def _fork_head(size: CutlerySizes) -> tuple[Surface, list[PrimitiveData]]:
         )
         parts += capsules_along(rail, radius)
     lift = max(0.0, radius - thick / 2)
-    return transform_surface(concatenate_surfaces(surfaces), (0, 0, lift)), parts
+    return translate_surface(concatenate_surfaces(surfaces), (0, 0, lift)), parts
 
 
 def _knife_blade(size: CutlerySizes) -> tuple[Surface, list[PrimitiveData]]:

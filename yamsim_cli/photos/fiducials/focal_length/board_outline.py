@@ -51,14 +51,12 @@ class BoardOutline:
         points_on_board: (4, 2), m.
         points: the same points (4, 2), px.
         covariance: (8, 8) of `points`, x and y alternating, px^2.
-        markers: indices into `board.ids` of markers whose print agrees.
     """
 
     board: Board
     points_on_board: Array
     points: Array
     covariance: Array
-    markers: tuple[int, ...]
 
 
 def fit_outline(photo: NDArray[np.float32], group: MarkerGroup, board: Board) -> BoardOutline | None:
@@ -83,7 +81,7 @@ def fit_outline(photo: NDArray[np.float32], group: MarkerGroup, board: Board) ->
         if found is None:
             return None
     fit, state, system = found
-    return fit.outline_at(state, system, camera, agreeing)
+    return fit.outline_at(state, system, camera)
 
 
 @dataclass(frozen=True)
@@ -155,9 +153,7 @@ class _PlaneProblem(PrintProblem[_MapState]):
         ]
         return np.stack(by, axis=1).reshape(8, 8)
 
-    def outline_at(
-        self, state: _MapState, system: NormalEquations, camera: CameraModel, markers: tuple[int, ...]
-    ) -> BoardOutline | None:
+    def outline_at(self, state: _MapState, system: NormalEquations, camera: CameraModel) -> BoardOutline | None:
         try:
             covariance = np.linalg.inv(system.normal_matrix)[1:, 1:] * system.noise**2
         except np.linalg.LinAlgError:
@@ -169,4 +165,4 @@ class _PlaneProblem(PrintProblem[_MapState]):
         noise = by @ covariance @ by.T * _COVARIANCE_INFLATION**2 + (
             _MIN_SIGMA_PX * self._view.reduction_factor
         ) ** 2 * np.eye(8)
-        return BoardOutline(self._view.piece.board, self._on_board, points, noise, markers)
+        return BoardOutline(self._view.piece.board, self._on_board, points, noise)
