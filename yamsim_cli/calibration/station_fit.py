@@ -29,7 +29,6 @@ from .chosen_frames import CHANGE_BLUR, ChosenFrame
 from .episode_pictures import EpisodePictures
 
 _REACHES = (16.0, 10.0, 7.0, 5.0, 3.5, 2.5, 2.5, 2.5, 2.5, 2.5)  # grains, search distance for edges by round
-FINAL_REACH = _REACHES[-1]
 EDGE_SIGMA = 0.12  # grains, least standard deviation of an edge's position
 _STILL_PICTURES = 3.0  # pictures that count as independent for the outlines of bodies that stand still
 _CONVERGED = 2e-5  # m, movement of the arms in a round, below which the fit ends

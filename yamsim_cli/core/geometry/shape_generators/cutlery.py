@@ -21,6 +21,7 @@ from .generated_shape import (
 CutleryKind = Literal["spoon", "fork", "knife", "turner"]
 
 _CLEAR_HEIGHT = 0.018  # m, of the finger pads' middle, at which the pads of a tilted hand clear the table
+_SHEET_POINTS, _SHEET_STEPS = 15, 21  # vertices across a curved sheet, and rows of them along it
 _MAX_RAISE = 0.004  # m, height of the pads' middle over the handle's middle
 
 
@@ -97,9 +98,9 @@ def _curved_sheet(
 ) -> Surface:
     """Return a sheet of thickness `thick`: `outline_` returns its left and right edge, `height` its underside, m."""
     loops = []
-    u = np.linspace(-1, 1, 15)
+    u = np.linspace(-1, 1, _SHEET_POINTS)
     # The steps are shorter at both ends, where outlines are more curved.
-    for t in (1 - np.cos(np.linspace(0, np.pi, 21))) / 2:
+    for t in (1 - np.cos(np.linspace(0, np.pi, _SHEET_STEPS))) / 2:
         left, right = outline_(float(t))
         x = (left + right) / 2 + (right - left) / 2 * u
         z = height(x, float(t))
