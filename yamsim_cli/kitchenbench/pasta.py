@@ -95,13 +95,12 @@ def pasta_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
         }
         return _smooth(with_shape(base, {**shape_data(base), **sizes, "mass_g": _DISH_GRAMS}))
     base = object_config_of(item, blueprint.conditions, locations, nests=False)
-    if blueprint.target_kind == SCOOP:
+    if item.asset != _CARTON_ASSET or blueprint.target_kind == SCOOP:
         return _smooth(base)
-    if item.asset != _CARTON_ASSET:
-        return base
     data = shape_data(base)
     carton = {"family": "container", "size_mm": data["size_mm"], "wall_mm": _CARTON_WALL, "corner_mm": _CARTON_WALL}
-    return with_shape(base, {**carton, "mass_g": _CARTON_MASS, "materials": {"body": data["materials"]["body"]}})
+    carton |= {"mass_g": _CARTON_MASS, "materials": {"body": data["materials"]["body"]}}
+    return _smooth(with_shape(base, carton))
 
 
 def fillings_of(blueprint: SceneBlueprint, locations: Locations) -> dict[str, Filling]:
@@ -119,9 +118,7 @@ def fillings_of(blueprint: SceneBlueprint, locations: Locations) -> dict[str, Fi
             length = pile.length_mm if pile else 10.0 * float(blueprint.conditions[STRAND_CONDITION])
             piece = with_shape(piece, {**shape_data(piece), "length_mm": length})
         piece = _thick_enough(piece, grams, most, pile is not None)
-        if pile is not None:
-            piece = _smooth(piece)
-        found[item.parent or item.name] = Filling(of=piece, grams=grams, max_pieces=most)
+        found[item.parent or item.name] = Filling(of=_smooth(piece), grams=grams, max_pieces=most)
     return found
 
 
