@@ -31,9 +31,9 @@ _DIAMETER_DIGITS = 3  # decimals of a thicker piece's diameter in mm
 _MAX_PIECES = 44
 _CARTON_ASSET, _CARTON_WALL, _CARTON_MASS = "pasta_box", 1.5, 30.0  # asset of a carton; its wall, mm; its mass, g
 
-# Friction of pieces, dish, tool and container. With the 0.8 of kitchen objects, a cup took up few pieces, and they did
-# not slide out of it.
-_SCOOPED_FRICTION = 0.35
+# Friction of pieces and of all objects in a scene with pasta: an assumption without a measurement or a source. With the
+# 0.8 of kitchen objects, a cup took up few pieces and they did not slide out of it, and pieces wedged in a carton.
+_PASTA_FRICTION = 0.35
 # object config whose material the dish has, and its mass, g: a tool pushes a lighter one away
 _DISH_CONFIG, _DISH_GRAMS = "kitchen_container", 700.0
 _DISH_WALL, _DISH_CORNER = 6.0, 10.0  # mm
@@ -123,8 +123,8 @@ def fillings_of(blueprint: SceneBlueprint, locations: Locations) -> dict[str, Fi
 
 
 def _smooth(item: ObjectConfig) -> ObjectConfig:
-    """Return an object on which pasta slides as on steel. MuJoCo takes the larger friction of two objects."""
-    friction = (_SCOOPED_FRICTION, *item.contact.friction[1:])
+    """Return an object with the friction of pasta. MuJoCo takes the larger friction of two objects."""
+    friction = (_PASTA_FRICTION, *item.contact.friction[1:])
     return item.model_copy(update={"contact": item.contact.model_copy(update={"friction": friction})})
 
 
@@ -143,7 +143,7 @@ def _thick_enough(piece: ObjectConfig, grams: float, most: int, thinner: bool) -
     With `thinner`, a piece that is thicker than this becomes thinner.
 
     Longer pieces would wedge themselves between the walls of a carton, which are 37 mm apart: one of 70 mm can lean by
-    26 degrees at most there, and friction (0.8) holds a piece that leans by less than 39 degrees.
+    26 degrees at most there.
     """
     factor = math.sqrt(grams / (most * piece.inertia.mass_g))
     if factor <= 1.0 and not thinner:

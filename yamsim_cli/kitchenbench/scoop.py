@@ -48,12 +48,15 @@ _BEHIND = -0.03  # m from the middle of the dish along the heading; pieces befor
 _FAILED_COST = 6  # pieces, by which the score is less for a line on which a stroke brought nothing: it would fail again
 _SPOON_STEP = math.radians(45)  # rad, of a spoon's tilt in an action; no other value is recorded
 _POUR_STEP = math.radians(30)  # rad, of a cup's tilt in an action; no other value is recorded
-_SLOW_STEP, _SLIDING = math.radians(5), math.radians(85)
+# rad: the tilt up to which no piece slides out of a cup (they slide from 109 degrees on, or earlier if others push),
+# and the step beyond it if only a part is to leave; no other values are recorded
+_SLIDING, _SLOW_STEP = math.radians(85), math.radians(5)
 _MAX_WAITS = 2  # actions in which the tool waits at its largest tilt, for pieces that slide slowly
 # Shares of a way at which the tool's pose is set: thirds, and for an empty cup the middle.
 _WAY_SHARES, _EMPTY_WAY_SHARES = (0.33, 0.67), (0.5,)
+# m, over the higher end of a way, in the order tried: a search instead takes 7 to 10 actions, and this way 2 to 4
 _WAY_RISES = (0.0, 0.04, 0.08)
-_MAX_SCOOPS = 14  # scoops in all: more than fit in the benchmark's 120 actions, of which one takes 8 to 24
+_MAX_SCOOPS = 14  # scoops in all: more than fit in the benchmark's 120 actions, of which one takes 8 or more
 _MAX_EMPTY = 4  # scoops in a row that bring nothing, after which the expert gives up
 
 
@@ -226,7 +229,7 @@ class _Job:
             if back is None:
                 return
             yield from self.travel(back.joints[0])
-            yield from self.tilt(back, lambda: self.carried() <= missing + tolerance, _SLOW_STEP)
+            yield from self.tilt(back, lambda: self.carried() <= missing + tolerance, slowly=True)
             if not self.carried():
                 return
             held = context.measure_held_object(hand)
@@ -279,10 +282,10 @@ class _Job:
         if not self.tool.is_spoon:
             self.pieces.weigh()
 
-    def tilt(self, tilt: Tilt, is_done: Callable[[], bool], slow: float | None = None) -> Iterator[MotionSegment]:
+    def tilt(self, tilt: Tilt, is_done: Callable[[], bool], slowly: bool = False) -> Iterator[MotionSegment]:
         """Yield the motions that tilt the tool step by step until `is_done`, or until it has waited fully tilted.
 
-        With `slow`, rad, steps are as long as this from the angle at which pieces may begin to slide.
+        With `slowly`, a cup tilts by small steps where pieces may slide, so that only a part of them leaves.
         """
         first, largest = float(tilt.angles[0]), float(tilt.angles[-1])
         angle = first
@@ -290,8 +293,8 @@ class _Job:
         while not is_done() and waits < _MAX_WAITS:
             self.weigh()
             goal = min(angle + step, largest)
-            if slow is not None and not self.tool.is_spoon:
-                goal = min(max(angle + slow, _SLIDING), largest)
+            if slowly and not self.tool.is_spoon:
+                goal = min(max(angle + _SLOW_STEP, _SLIDING), largest)
             if goal > angle:
                 yield self.context.make_segment({self.hand: straight_tilt(tilt, angle, goal)}, wait_for_arrival=False)
             else:
@@ -309,9 +312,10 @@ class _Job:
         held = hand.held_object
         assert held is not None
         load = AttachedObject(self.tool_name, held.T_thing_in_pinch)
+        ends = [hand.pinch_pose(at) @ held.T_thing_in_pinch for at in (hand.joints, joints)]
         shares = _WAY_SHARES if self.tool.is_spoon or self.carried() else _EMPTY_WAY_SHARES
         for over in _WAY_RISES:
-            poses = _way_poses(*(hand.pinch_pose(at) @ held.T_thing_in_pinch for at in (hand.joints, joints)), shares, over)
+            poses = _way_poses(*ends, shares, over)
             rows = plan_knots(context, hand, hand.opening, load, poses, hand.joints)
             if len(rows) == len(poses) and all(
                 is_free_step(context, hand, hand.opening, load, start, end)

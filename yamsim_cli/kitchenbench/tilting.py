@@ -301,5 +301,9 @@ def tilt_path(tilt: Tilt, start: float, end: float) -> Array:
 
 
 def straight_tilt(tilt: Tilt, start: float, end: float) -> Array:
-    """Return a motion (n + 1, dof) of one action from one angle to another, rad, along a straight line of joints."""
+    """Return a motion (n + 1, dof) from one angle to another, rad, along a straight line of joints: one action.
+
+    `tilt_path` bends where the tilt does, so that 30 degrees take two actions and 45 degrees two or three. Here the
+    object's lip leaves its place between the ends.
+    """
     return np.linspace(tilt.joints_at(start), tilt.joints_at(end), TICKS + 1)
