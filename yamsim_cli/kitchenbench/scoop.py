@@ -312,10 +312,10 @@ class _Job:
         held = hand.held_object
         assert held is not None
         load = AttachedObject(self.tool_name, held.T_thing_in_pinch)
-        ends = [hand.pinch_pose(at) @ held.T_thing_in_pinch for at in (hand.joints, joints)]
+        first, last = (hand.pinch_pose(at) @ held.T_thing_in_pinch for at in (hand.joints, joints))
         shares = _WAY_SHARES if self.tool.is_spoon or self.carried() else _EMPTY_WAY_SHARES
         for over in _WAY_RISES:
-            poses = _way_poses(*ends, shares, over)
+            poses = _way_poses(first, last, shares, over)
             rows = plan_knots(context, hand, hand.opening, load, poses, hand.joints)
             if len(rows) == len(poses) and all(
                 is_free_step(context, hand, hand.opening, load, start, end)
