@@ -18,7 +18,7 @@ from tests.kitchenbench.realizations import blueprint_of, seed_of
 from yamsim_cli.core.config.objects.primitives import Capsule
 from yamsim_cli.core.config.program_task import Role
 from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene
-from yamsim_cli.kitchenbench.pasta import describe_coarse_pieces, fillings_of, pasta_config_of
+from yamsim_cli.kitchenbench.pasta import describe_coarse_pieces, fillings_of, is_body, pasta_config_of
 from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
 from yamsim_cli.kitchenbench.pour import Pour
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
@@ -60,6 +60,16 @@ def test_pieces_get_thicker_and_not_longer_where_they_would_be_too_many(base: An
     assert line.startswith("dry_pasta: 427 g are 44 pieces 13.") and line.endswith("thick instead of 8.0 mm")
     thin = blueprint_of(SCENES[CUP])
     assert describe_coarse_pieces("source", fillings_of(thin, base.locations)["source"], thin, base.locations) == ""
+
+
+@pytest.mark.parametrize("task", ["pour_pasta", "scoop_pasta"])
+def test_pasta_has_the_same_friction_everywhere(task: str, base: Any) -> None:
+    """MuJoCo takes the larger friction of two objects, so it has to be low on both."""
+    for scene in tasks.TASK_FACTORIES[task]().scenes:
+        blueprint = blueprint_of(scene)
+        (filling,) = fillings_of(blueprint, base.locations).values()
+        bodies = [pasta_config_of(item, blueprint, base.locations) for item in blueprint.objects if is_body(item)]
+        assert {item.contact.friction[0] for item in (filling.of, *bodies)} == {0.35}
 
 
 @pytest.mark.parametrize("angle", [0.0, 15.0, 40.0, 75.0, 90.0, 120.0])

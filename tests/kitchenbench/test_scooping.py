@@ -28,7 +28,7 @@ from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
 from yamsim_cli.kitchenbench.scoop_strokes import is_free_step, pieces_on_spoon, stroke_headings, tool_of
 from yamsim_cli.kitchenbench.success_judges import KitchenJudge
-from yamsim_cli.kitchenbench.tilting import Tilt
+from yamsim_cli.kitchenbench.tilting import Tilt, straight_tilt, tilt_path
 from yamsim_cli.loose_pieces import loose_pieces, piece_count, stacked_poses
 
 SCENES = {scene.id: scene for scene in tasks.TASK_FACTORIES["scoop_pasta"]().scenes}
@@ -206,6 +206,52 @@ def test_a_cup_is_weighed_before_every_step_of_a_tilt_and_after_the_last() -> No
     angles = np.radians([65.0, 85.0, 105.0])
     list(job.tilt(Tilt(angles, np.zeros((3, 6))), lambda: events.count("step") == 2))
     assert events == ["weigh", "step", "weigh", "step", "weigh"]
+
+
+def test_a_cup_that_holds_too_much_tilts_by_small_steps_where_pieces_slide() -> None:
+    goals = list[float]()
+    context: Any = SimpleNamespace(make_segment=lambda motions, **options: goals.append(float(motions[hand][-1, 0])))
+    hand, pieces = Mock(), Mock()
+    job = scoop._Job(context, "tool", "pile", "container", pieces)
+    job.use(hand, Mock(is_spoon=False))
+    angles = np.radians(np.arange(65.0, 126.0, 10.0))
+    tilt = Tilt(angles, np.tile(angles[:, None], 6))
+    list(job.tilt(tilt, lambda: len(goals) == 3, slowly=True))
+    assert np.degrees(goals) == pytest.approx([85.0, 90.0, 95.0])
+    goals.clear()
+    list(job.tilt(tilt, lambda: len(goals) == 2))
+    assert np.degrees(goals) == pytest.approx([95.0, 125.0])
+
+
+def test_a_straight_tilt_is_a_line_of_joints_where_the_tilt_bends() -> None:
+    tilt = Tilt(np.radians([0.0, 15.0, 30.0]), np.array([[0.0] * 6, [0.3] * 6, [0.4] * 6]))
+    bent, straight = (make(tilt, 0.0, math.radians(30)) for make in (tilt_path, straight_tilt))
+    assert straight.shape == bent.shape
+    assert straight[[0, -1]] == pytest.approx(bent[[0, -1]])
+    assert np.diff(straight, axis=0) == pytest.approx(0.04)
+    assert np.abs(bent - straight).max() > 0.09
+
+
+def test_a_way_rises_over_an_obstacle_before_a_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    ways, heights = list[str](), list[float]()
+
+    def plan_knots(context: Any, hand: Any, opening: Any, load: Any, poses: Any, start: Any) -> Any:
+        heights.append(poses[0][2, 3])
+        return np.zeros((len(poses) if heights[-1] > 0.05 else 0, 6))
+
+    monkeypatch.setattr(scoop, "plan_knots", plan_knots)
+    context: Any = SimpleNamespace(
+        find_contact=lambda *args: None,
+        plan_free_path=lambda *args: ways.append("search"),
+        make_segment=lambda *args, **options: ways.append("follow"),
+    )
+    hand = Mock(joints=np.zeros(6), opening=0.0, pinch_pose=lambda joints: np.eye(4))
+    hand.held_object.T_thing_in_pinch = np.eye(4)
+    job = scoop._Job(context, "tool", "pile", "container", Mock(grams_in=lambda holder: 7.0))
+    job.use(hand, Mock(is_spoon=True))
+    list(job.travel(np.ones(6)))
+    assert heights == sorted(heights) and heights[0] == 0.0 and heights[-1] > 0.05
+    assert set(ways) == {"follow"}
 
 
 @pytest.mark.parametrize(("blocked", "way"), [(9.0, "follow"), (0.1, "search"), (0.75, "search")])

@@ -31,9 +31,9 @@ _DIAMETER_DIGITS = 3  # decimals of a thicker piece's diameter in mm
 _MAX_PIECES = 44
 _CARTON_ASSET, _CARTON_WALL, _CARTON_MASS = "pasta_box", 1.5, 30.0  # asset of a carton; its wall, mm; its mass, g
 
-# Friction of pieces, dish, tool and container. With the 0.8 of kitchen objects, a cup took up few pieces, and they did
-# not slide out of it.
-_SCOOPED_FRICTION = 0.35
+# Friction of pieces and of all objects in a scene with pasta: an assumption without a measurement or a source. With the
+# 0.8 of kitchen objects, a cup took up few pieces and they did not slide out of it, and pieces wedged in a carton.
+_PASTA_FRICTION = 0.35
 # object config whose material the dish has, and its mass, g: a tool pushes a lighter one away
 _DISH_CONFIG, _DISH_GRAMS = "kitchen_container", 700.0
 _DISH_WALL, _DISH_CORNER = 6.0, 10.0  # mm
@@ -95,13 +95,12 @@ def pasta_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
         }
         return _smooth(with_shape(base, {**shape_data(base), **sizes, "mass_g": _DISH_GRAMS}))
     base = object_config_of(item, blueprint.conditions, locations, nests=False)
-    if blueprint.target_kind == SCOOP:
+    if item.asset != _CARTON_ASSET or blueprint.target_kind == SCOOP:
         return _smooth(base)
-    if item.asset != _CARTON_ASSET:
-        return base
     data = shape_data(base)
     carton = {"family": "container", "size_mm": data["size_mm"], "wall_mm": _CARTON_WALL, "corner_mm": _CARTON_WALL}
-    return with_shape(base, {**carton, "mass_g": _CARTON_MASS, "materials": {"body": data["materials"]["body"]}})
+    carton |= {"mass_g": _CARTON_MASS, "materials": {"body": data["materials"]["body"]}}
+    return _smooth(with_shape(base, carton))
 
 
 def fillings_of(blueprint: SceneBlueprint, locations: Locations) -> dict[str, Filling]:
@@ -119,15 +118,13 @@ def fillings_of(blueprint: SceneBlueprint, locations: Locations) -> dict[str, Fi
             length = pile.length_mm if pile else 10.0 * float(blueprint.conditions[STRAND_CONDITION])
             piece = with_shape(piece, {**shape_data(piece), "length_mm": length})
         piece = _thick_enough(piece, grams, most, pile is not None)
-        if pile is not None:
-            piece = _smooth(piece)
-        found[item.parent or item.name] = Filling(of=piece, grams=grams, max_pieces=most)
+        found[item.parent or item.name] = Filling(of=_smooth(piece), grams=grams, max_pieces=most)
     return found
 
 
 def _smooth(item: ObjectConfig) -> ObjectConfig:
-    """Return an object on which pasta slides as on steel. MuJoCo takes the larger friction of two objects."""
-    friction = (_SCOOPED_FRICTION, *item.contact.friction[1:])
+    """Return an object with the friction of pasta. MuJoCo takes the larger friction of two objects."""
+    friction = (_PASTA_FRICTION, *item.contact.friction[1:])
     return item.model_copy(update={"contact": item.contact.model_copy(update={"friction": friction})})
 
 
@@ -146,7 +143,7 @@ def _thick_enough(piece: ObjectConfig, grams: float, most: int, thinner: bool) -
     With `thinner`, a piece that is thicker than this becomes thinner.
 
     Longer pieces would wedge themselves between the walls of a carton, which are 37 mm apart: one of 70 mm can lean by
-    26 degrees at most there, and friction (0.8) holds a piece that leans by less than 39 degrees.
+    26 degrees at most there.
     """
     factor = math.sqrt(grams / (most * piece.inertia.mass_g))
     if factor <= 1.0 and not thinner:

@@ -33,7 +33,7 @@ from .scoop_strokes import (
     tool_grasps,
     tool_of,
 )
-from .tilting import TICKS, HeldSource, Tilt, nearest_free_hands, tilt_path
+from .tilting import TICKS, HeldSource, Tilt, nearest_free_hands, straight_tilt
 
 _LIFT = 0.05  # m, straight up after grasping the tool: over the dish's wall of up to 40 mm
 _LAYING_CLEARANCE = 0.01  # m, by which each finger opens to lay the tool down; no other value is recorded
@@ -48,10 +48,15 @@ _BEHIND = -0.03  # m from the middle of the dish along the heading; pieces befor
 _FAILED_COST = 6  # pieces, by which the score is less for a line on which a stroke brought nothing: it would fail again
 _SPOON_STEP = math.radians(45)  # rad, of a spoon's tilt in an action; no other value is recorded
 _POUR_STEP = math.radians(30)  # rad, of a cup's tilt in an action; no other value is recorded
+# rad: the tilt up to which no piece slides out of a cup (they slide from 109 degrees on, or earlier if others push),
+# and the step beyond it if only a part is to leave; no other values are recorded
+_SLIDING, _SLOW_STEP = math.radians(85), math.radians(5)
 _MAX_WAITS = 2  # actions in which the tool waits at its largest tilt, for pieces that slide slowly
 # Shares of a way at which the tool's pose is set: thirds, and for an empty cup the middle.
 _WAY_SHARES, _EMPTY_WAY_SHARES = (0.33, 0.67), (0.5,)
-_MAX_SCOOPS = 14  # scoops in all: more than fit in the benchmark's 120 actions, of which one takes 8 to 24
+# m, over the higher end of a way, in the order tried: a search instead takes 7 to 10 actions, and this way 2 to 4
+_WAY_RISES = (0.0, 0.04, 0.08)
+_MAX_SCOOPS = 14  # scoops in all: more than fit in the benchmark's 120 actions, of which one takes 8 or more
 _MAX_EMPTY = 4  # scoops in a row that bring nothing, after which the expert gives up
 
 
@@ -224,7 +229,7 @@ class _Job:
             if back is None:
                 return
             yield from self.travel(back.joints[0])
-            yield from self.tilt(back, lambda: self.carried() <= missing + tolerance / 2)
+            yield from self.tilt(back, lambda: self.carried() <= missing + tolerance, slowly=True)
             if not self.carried():
                 return
             held = context.measure_held_object(hand)
@@ -277,16 +282,21 @@ class _Job:
         if not self.tool.is_spoon:
             self.pieces.weigh()
 
-    def tilt(self, tilt: Tilt, is_done: Callable[[], bool]) -> Iterator[MotionSegment]:
-        """Yield the motions that tilt the tool step by step until `is_done`, or until it has waited fully tilted."""
+    def tilt(self, tilt: Tilt, is_done: Callable[[], bool], slowly: bool = False) -> Iterator[MotionSegment]:
+        """Yield the motions that tilt the tool step by step until `is_done`, or until it has waited fully tilted.
+
+        With `slowly`, a cup tilts by small steps where pieces may slide, so that only a part of them leaves.
+        """
         first, largest = float(tilt.angles[0]), float(tilt.angles[-1])
         angle = first
         step, waits = _SPOON_STEP if self.tool.is_spoon else _POUR_STEP, 0
         while not is_done() and waits < _MAX_WAITS:
             self.weigh()
             goal = min(angle + step, largest)
+            if slowly and not self.tool.is_spoon:
+                goal = min(max(angle + _SLOW_STEP, _SLIDING), largest)
             if goal > angle:
-                yield self.context.make_segment({self.hand: tilt_path(tilt, angle, goal)}, wait_for_arrival=False)
+                yield self.context.make_segment({self.hand: straight_tilt(tilt, angle, goal)}, wait_for_arrival=False)
             else:
                 waits += 1
                 yield self.context.wait_segment(TICKS)
@@ -302,22 +312,17 @@ class _Job:
         held = hand.held_object
         assert held is not None
         load = AttachedObject(self.tool_name, held.T_thing_in_pinch)
-        T0, T1 = (hand.pinch_pose(at) @ held.T_thing_in_pinch for at in (hand.joints, joints))
-        turn = rotation_vector(T0[:3, :3].T @ T1[:3, :3])
-        poses = []
-        for share in _WAY_SHARES if self.tool.is_spoon or self.carried() else _EMPTY_WAY_SHARES:
-            T = T0.copy()
-            T[:3, 3] += share * (T1[:3, 3] - T0[:3, 3])
-            T[2, 3] = max(T0[2, 3], T1[2, 3])
-            T[:3, :3] = T0[:3, :3] @ rotation_from_vector(share * turn)
-            poses.append(T)
-        rows = plan_knots(context, hand, hand.opening, load, poses, hand.joints)
-        if len(rows) == len(poses) and all(
-            is_free_step(context, hand, hand.opening, load, start, end)
-            for start, end in ((hand.joints, rows[0]), (rows[-1], joints))
-        ):
-            yield from self.follow(np.array([*rows, joints]))
-            return
+        first, last = (hand.pinch_pose(at) @ held.T_thing_in_pinch for at in (hand.joints, joints))
+        shares = _WAY_SHARES if self.tool.is_spoon or self.carried() else _EMPTY_WAY_SHARES
+        for over in _WAY_RISES:
+            poses = _way_poses(first, last, shares, over)
+            rows = plan_knots(context, hand, hand.opening, load, poses, hand.joints)
+            if len(rows) == len(poses) and all(
+                is_free_step(context, hand, hand.opening, load, start, end)
+                for start, end in ((hand.joints, rows[0]), (rows[-1], joints))
+            ):
+                yield from self.follow(np.array([*rows, joints]))
+                return
         path = context.plan_free_path(hand, joints, hand.opening, load)
         yield context.make_segment({hand: path}, wait_for_arrival=False)
 
@@ -329,3 +334,16 @@ class _Job:
             actions = max(1, math.ceil(float(np.abs(row - start).max()) / step))
             path = np.linspace(start, row, TICKS * actions + 1)
             yield self.context.make_segment({self.hand: path}, wait_for_arrival=False)
+
+
+def _way_poses(T0: Array, T1: Array, shares: Sequence[float], over: float) -> list[Array]:
+    """Return a tool's poses (4, 4) at shares of a way on which it turns evenly, `over` m over its higher end."""
+    turn = rotation_vector(T0[:3, :3].T @ T1[:3, :3])
+    poses = []
+    for share in shares:
+        T = T0.copy()
+        T[:3, 3] += share * (T1[:3, 3] - T0[:3, 3])
+        T[2, 3] = max(T0[2, 3], T1[2, 3]) + over
+        T[:3, :3] = T0[:3, :3] @ rotation_from_vector(share * turn)
+        poses.append(T)
+    return poses

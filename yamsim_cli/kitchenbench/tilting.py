@@ -298,3 +298,12 @@ def carry_upright(context: PlanningContext, hand: Hand, tilt: Tilt) -> Iterator[
 def tilt_path(tilt: Tilt, start: float, end: float) -> Array:
     """Return a motion (n + 1, dof) from one angle to another, rad."""
     return np.array([tilt.joints_at(angle) for angle in np.linspace(start, end, TICKS + 1)])
+
+
+def straight_tilt(tilt: Tilt, start: float, end: float) -> Array:
+    """Return a motion (n + 1, dof) from one angle to another, rad, along a straight line of joints: one action.
+
+    `tilt_path` bends where the tilt does, so that 30 degrees take two actions and 45 degrees two or three. Here the
+    object's lip leaves its place between the ends.
+    """
+    return np.linspace(tilt.joints_at(start), tilt.joints_at(end), TICKS + 1)
