@@ -12,7 +12,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from yamsim_cli.calibration.calibrate_run import CameraStart, StationCalibrator, guessed_k1, offset_refusal
+from yamsim_cli.calibration.calibrate_run import (
+    CameraStart,
+    StationCalibrator,
+    _converged_fit,
+    guessed_k1,
+    offset_refusal,
+)
 from yamsim_cli.calibration.chosen_frames import ChosenFrame
 from yamsim_cli.calibration.episode_pictures import EpisodePictures
 from yamsim_cli.calibration.station_fit import (
@@ -191,3 +197,14 @@ def test_a_refusal_names_near_if_what_moves_reaches_the_border() -> None:
     assert "--near" in hint(None, cut, cut, cut, inside)
     assert not hint(None, cut, inside)
     assert not hint("calibration.yaml", cut)
+
+
+@pytest.mark.parametrize(("shares", "used"), [((0.2, 0.4, 0.7, 0.9), 2), ((0.2, 0.22, 0.9), 0), ((0.65, 0.9), 0)])
+def test_a_fit_that_finds_few_edges_goes_on_as_long_as_it_finds_more(shares: tuple[float, ...], used: int) -> None:
+    def fit(number: int) -> Any:
+        equations = (SimpleNamespace(camera=0, found=100 * shares[number], points=100),)
+        return SimpleNamespace(state=number, equations=equations)
+
+    problem = cast(Any, SimpleNamespace(fit=lambda state: fit(state + 1)))
+    found: Any = _converged_fit(problem, fit(0))
+    assert found.state == used

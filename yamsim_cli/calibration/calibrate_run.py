@@ -38,6 +38,7 @@ _BORDER_PX = 12  # px; undistorted pictures show up to 1 % more than the camera,
 _BORDER_SHARE = 0.7  # share of pictures in which what moves reaches the border, from which the arms may be cut off
 _MAX_CHANCE = 0.85  # the overlap for exchanged poses, as a share of that for each picture's own pose
 _MIN_FOUND = 0.6  # share of outline points with an edge within the last reach
+_MIN_PROGRESS = 0.05  # share of found edges that a continued fit must gain to be continued again
 _EXCHANGE_GAIN = 1.15  # times the overlap as recorded, from which the arms' joints count as exchanged
 _RIVAL = 0.04  # a second pose whose share of found edges is less by this or less explains the pictures as well
 _MAX_OFFSET = math.radians(3.5)  # rad of a joint, 3.5 standard deviations of the assumed ones; a wrong gripper gave 4.4
@@ -319,7 +320,7 @@ class StationCalibrator:
             prepared, state = self._prepare(name, start.model), replace(state, lenses=(0.0,))
         prepared = with_clean_backgrounds(prepared, state, 0, self._episodes)
         problem = StationProblem(self._rig, [prepared.view], self._episodes, FitPriors((start.prior,)))
-        best = problem.fit(state, _SHARED_REACHES)
+        best = _converged_fit(problem, problem.fit(state, _SHARED_REACHES))
         share = found_share(best)
         figures = {**figures, "found_share": share, "outline_px": outline_px(best, 0)}
         refusal = None
@@ -420,6 +421,16 @@ class StationCalibrator:
                 "([0, 0, 0, 0] for rectified pictures)"
             )
         return "give more episodes with other poses"
+
+
+def _converged_fit(problem: StationProblem, fit: StationFit) -> StationFit:
+    """Return a fit, continued as long as it finds too few edges for a pose and each continuation finds more."""
+    while found_share(fit) < _MIN_FOUND:
+        again = problem.fit(fit.state)
+        if found_share(again) < found_share(fit) + _MIN_PROGRESS:
+            break
+        fit = again
+    return fit
 
 
 def _reaches_border(mask: NDArray[np.bool_]) -> bool:
