@@ -59,8 +59,13 @@ def test_the_priors_hold_the_rig_and_not_the_start_of_the_fit(station: RigConfig
     bases[other] = pose((0.0, 0.0, 0.02)) @ bases[other] @ pose(rotation=rotation_z(0.01))
     offsets = tuple(np.full_like(one, 0.03) for one in state.offsets)
     removed = StationProblem(station, [view], [], FitPriors((CameraPrior(0.01, 0.05, removed_k1=0.04),)))
-    distorted = removed.prior_deviation(replace(state, lenses=(0.01,)))
-    assert distorted[problem.layout.camera(0)][LENS] == pytest.approx(0.05)
+    distorted = replace(state, lenses=(0.01,), log_focal=(0.1,))
+    assert removed.prior_deviation(state)[problem.layout.camera(0)][LENS] == pytest.approx(0.04)
+    deviation = removed.prior_deviation(distorted)[problem.layout.camera(0)][LENS]
+    assert deviation == pytest.approx(0.04 * math.exp(0.2) + 0.01)
+    farther = removed.prior_deviation(replace(distorted, log_focal=(0.1 + 1e-6,)))[problem.layout.camera(0)][LENS]
+    slope = removed._prior_jacobian(distorted)[problem.layout.camera(0).start + LENS, FOCAL]
+    assert slope == pytest.approx((farther - deviation) / 1e-6, rel=1e-4)
     moved = problem.prior_deviation(replace(state, delays=(0.05,), offsets=offsets, T_arm_in_base=tuple(bases)))
     assert moved[problem.layout.camera(0)][DELAY] == 0.05
     np.testing.assert_allclose(moved[problem.layout.offsets(other)], 0.03)

@@ -15,6 +15,8 @@ development, those above did not. A given focal length is not changed: its error
 With `--mixed`, each seed chooses renderer, lens, hand, compression and number of arms; table and floor have textures,
 and joint offsets and delays are up to 3 degrees and 120 ms.
 
+With `--rolling`, the fixed camera has a rolling shutter of 30 ms.
+
 With `--boards`, a fiducial board lies beside the arm in the same pictures. The bench compares the poses of `calibrate`
 and of `overlay`, which reads the board, with the truth and with each other.
 

@@ -1,11 +1,12 @@
 """Errors of `yamsim calibrate` over the share of the arm that the camera sees.
 
     python -m tools.bench.calibrate --mixed --keep out/bench --size 640x480 --first 4002 --stations 6
-    python -m tools.bench.calibration_visibility out/bench/400* [--shares 1 0.7 0.5 0.3] [--near]
+    python -m tools.bench.calibration_visibility out/bench/400[2-7]* [--shares 1 0.7 0.5 0.3] [--near]
 
-Each station is a folder of `tools.bench.calibrate --keep`, with one arm. Its pictures are cut at one side, until they
-contain the given share of the pixels that change with the arm. The stations have different sides, as far as the
-principal point stays in the picture. The camera file fits the cut pictures, whose pixels per degree are the same.
+Each station is a folder of `tools.bench.calibrate --keep`, with one arm and 40 pictures. Its pictures are cut at one
+side, until they contain the given share of the pixels that change with the arm. The stations have different sides, as
+far as the principal point stays in the picture. The camera file fits the cut pictures, whose pixels per degree are the
+same.
 With `--near`, the search starts with the calibration by the whole pictures.
 """
 
@@ -123,6 +124,9 @@ def main() -> None:
     parser.add_argument("--shares", type=float, nargs="+", default=[1.0, 0.7, 0.5, 0.3])
     parser.add_argument("--near", action="store_true", help="give the calibration by the whole pictures")
     given = parser.parse_args()
+    for station in given.stations:
+        if Planted.load(station / "truth.json").T_arm_in_base is not None:
+            parser.error(f"{station} has two arms; give stations with one")
     measure(given.stations, given.shares, given.near, Console(width=240))
 
 

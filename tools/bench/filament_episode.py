@@ -3,7 +3,8 @@
     python -m tools.bench.filament_episode DATASET/ep_000000 OUT CAMERA 0 7 12 [--readout 0.03]
 
 The pictures are rendered at twice their size, averaged, and written as OUT/000007.png. With `--readout`, the camera
-has a rolling shutter: the rows are exposed one after another, the middle one at the picture's time.
+has a rolling shutter: the rows are exposed one after another. The middle one is exposed at the picture's time, so that
+the planted delay is that of the whole picture.
 Filament needs a Vulkan driver, see `yamsim doctor`.
 """
 
@@ -27,7 +28,7 @@ from yamsim_cli.flags.session_options import session_opener
 
 FINER = 2  # rendered pixels per pixel, along a side
 BAND_MOTION = math.radians(0.1)  # rad, of a joint while a band of rows is exposed, which is rendered at one time
-MAX_BANDS = 8
+MAX_BANDS = 8  # of a picture; more only for the background's pictures of a fast arm, for which time would be lost
 
 
 def render_pictures(directory: Path, out: Path, camera: str, chosen: list[int], readout: float = 0.0) -> None:

@@ -369,18 +369,24 @@ def _arms_section(calibration: Calibration) -> Markup:
         offsets = [_with_interval(value, width, 2) if estimated else _UNKNOWN for value, width, estimated in rows]
         is_reference = arm.name == calibration.reference
         base = ["the reference", ""] if is_reference else _pose_cells(arm)
-        turn, width = arm.base_body_turn_deg, arm.base_body_turn_95_deg
-        body_turn = _UNKNOWN if width is None else _with_interval(turn, width, 2)
-        cells.append([arm.name, *base, body_turn, *offsets[1:]])
+        cells.append([arm.name, *base, _body_turn_text(arm) or _UNKNOWN, *offsets[1:]])
     joints = [f"joint {number}" for number in range(2, max(len(row) for row in cells) - 2)]
     place = f"position of the base in the base of {calibration.reference}, mm"
     heads = ("arm", place, "turn, degrees", "turn of the base body, degrees", *joints)
     text = (
         "Joint offsets, in degrees, are measured minus true joints. The offset of joint 1 is 0 by definition. It "
         "appears as the turn of the base body about z, relative to the base's frame. "
-        f"The pictures do not determine offsets marked {_UNKNOWN}."
+        f"The pictures do not determine values marked {_UNKNOWN}."
     )
     return html_section("Arms", html_tag("p", text), html_table(heads, cells))
+
+
+def _body_turn_text(arm: CalibratedArm) -> str | None:
+    """Return the turn of an arm's base body with its interval, degrees; None if the pictures do not determine it."""
+    width = arm.base_body_turn_95_deg
+    if width is None or not is_measured(math.radians(width), FitPriors().offset):
+        return None
+    return _with_interval(arm.base_body_turn_deg, width, 2)
 
 
 def _pose_cells(body: CalibratedCamera | CalibratedWristCamera | CalibratedArm) -> list[str]:
@@ -455,7 +461,7 @@ def _offset_text(arm: CalibratedArm) -> str:
         )
         if known
     ]
-    held = [f"joint{k}" for k, known in enumerate(arm.joint_offsets_estimated, start=1) if not known]
+    held = [f"joint{k}" for k, known in enumerate(arm.joint_offsets_estimated[1:], start=2) if not known]
     text = (
         f"joint offsets {', '.join(estimated)} degrees"
         if estimated
@@ -463,11 +469,8 @@ def _offset_text(arm: CalibratedArm) -> str:
     )
     if held:
         text += f"; held: {', '.join(held)}"
-    if arm.base_body_turn_95_deg is None or not is_measured(
-        math.radians(arm.base_body_turn_95_deg), FitPriors().offset
-    ):
-        return text
-    return f"{text}; base body turned by {arm.base_body_turn_deg:.2f} degrees"
+    turn = _body_turn_text(arm)
+    return f"{text}; base body turned by {turn} degrees (95 %), an offset of joint1" if turn else text
 
 
 def output_files(folder: Path) -> Sequence[Path]:

@@ -27,8 +27,9 @@ _CELL_SHARE = 0.25  # share of changed pixels in a cell that counts as changed
 _SCORED_FRAMES = 10  # pictures in the score of the grid
 _POINTS = 500  # points of the moving bodies in each picture
 _FINE_POINTS = 2500
-# Hypotheses of the grid whose overlap in coarse masks is maximized, and the evaluations for each. In a station with two
-# arms, the grid's pose nearest to the camera (0.2 m, 10 degrees) had only rank 1,484 of 3,024 before.
+# Hypotheses of the grid from which the overlap of coarse masks is maximized, and overlaps computed for each, in 1 s
+# together. The overlaps of the grid itself are hardly larger near the camera than elsewhere if its steps are large
+# compared with the arms.
 _CLIMBED, _CLIMB_EVALUATIONS = 60, 80
 _REFINED = 14  # of these hypotheses that are refined
 _SAME_TURN, _SAME_SHIFT = math.radians(12), 0.08  # rad, and share of the distance: poses closer than both are one
@@ -62,7 +63,7 @@ class Hypothesis:
 def search_poses(
     views: Sequence[MaskView], K: Array, known: Iterable[Array], focal_scales: Sequence[float], count: int
 ) -> list[Hypothesis]:
-    """Return at most `count` different poses, the best first.
+    """Return at most `count` different poses, the best first; the best known one is at least the second.
 
     Args:
         K: camera matrix (3, 3) of the masks, px.
@@ -78,16 +79,14 @@ def search_poses(
     starts: list[Hypothesis] = []
     for scale in focal_scales:
         scaled = _scale_focal(K, scale)
-        poses = [*_grid(scored, scaled, rng), *known]
-        scores = rough.score(poses, scaled)
-        starts += [Hypothesis(T, scale, float(score)) for T, score in zip(poses, scores, strict=True)]
+        starts += _scored(_grid(scored, scaled, rng), scale, rough, K)
     middle = np.mean([view.points.mean(axis=0) for view in scored], axis=0)
     free_focal = len(focal_scales) > 1
     starts = [
         _maximize_overlap(one, rough, K, middle, free_focal, _CLIMB_EVALUATIONS)
-        for one in _distinct(sorted(starts, key=lambda one: -one.overlap), _CLIMBED)
+        for one in _distinct(sorted(starts, key=_overlap_of, reverse=True), _CLIMBED)
     ]
-    starts = _distinct(sorted(starts, key=lambda one: -one.overlap), _REFINED)
+    starts = _distinct(sorted(starts, key=_overlap_of, reverse=True), _REFINED)
     refiner = _MaskRefiner(scored, K, rng)
     fine = _Overlap(scored, _FINE_CELLS, _FINE_POINTS, rng)
     refined = []
@@ -95,9 +94,24 @@ def search_poses(
         T, scale = refiner.refine(start.T_base_in_cam, start.focal_scale, free_focal)
         score = fine.score([T], _scale_focal(K, scale))[0]
         refined.append(Hypothesis(T, scale, float(score)))
-    best = _distinct(sorted(refined, key=lambda one: -one.overlap), _POLISHED)
-    polished = [_maximize_overlap(one, fine, K, middle, free_focal, _EVALUATIONS) for one in best]
-    return _distinct(sorted(polished, key=lambda one: -one.overlap), count)
+    best = _distinct(sorted(refined, key=_overlap_of, reverse=True), _POLISHED)
+    tried = [max((_scored([T], scale, fine, K)[0] for scale in focal_scales), key=_overlap_of) for T in known]
+    polished, given = (
+        sorted((_maximize_overlap(one, fine, K, middle, free_focal, _EVALUATIONS) for one in some), key=_overlap_of)
+        for some in (best, tried)
+    )
+    found = _distinct(sorted([*polished, *given], key=_overlap_of, reverse=True), count)
+    # If the camera sees only a part of the arms, wrong poses may have larger overlaps than the right one.
+    return _distinct([found[0], given[-1], *found[1:]], count) if given else found
+
+
+def _overlap_of(one: Hypothesis) -> float:
+    return one.overlap
+
+
+def _scored(poses: Sequence[Array], scale: float, masks: _Overlap, K: Array) -> list[Hypothesis]:
+    scores = masks.score(poses, _scale_focal(K, scale))
+    return [Hypothesis(T, scale, float(score)) for T, score in zip(poses, scores, strict=True)]
 
 
 def _maximize_overlap(

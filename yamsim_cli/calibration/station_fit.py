@@ -256,21 +256,35 @@ class StationProblem:
             if (place := self.layout.base(arm)) is not None:
                 sigma[place] = [priors.base_turn] * 3 + [priors.base_shift] * 3
         self.sigma = sigma
-        self.prior = np.diag(sigma**-2.0)
 
     def fit(self, state: StationState, reaches: Sequence[float] = _REACHES) -> StationFit:
         """Return the fit that starts at a state; the start does not change what the priors assume."""
         for number, reach in enumerate(reaches):
             equations, centres = self.linearize(state, reach)
-            normal = self.prior + sum(one.normal for one in equations)
-            right_hand_side = sum(one.right_hand_side for one in equations) - self.prior @ self.prior_deviation(state)
+            J = self._prior_jacobian(state)
+            normal = J.T @ (J / self.sigma[:, None] ** 2) + sum(one.normal for one in equations)
+            right_hand_side = sum(one.right_hand_side for one in equations)
+            right_hand_side -= J.T @ (self.prior_deviation(state) / self.sigma**2)
             damped = normal + 1e-9 * np.diag(np.diag(normal) + 1e-12)
             step: Array = np.linalg.solve(damped, right_hand_side).astype(np.float64)
             state = self.apply(state, step, centres)
             if number >= len(reaches) - 3 and self._displacement(step) < _CONVERGED:
                 break
         equations, centres = self.linearize(state, reaches[-1])
-        return StationFit(self.layout, state, tuple(equations), self.prior, tuple(centres))
+        J = self._prior_jacobian(state)
+        prior = J.T @ (J / self.sigma[:, None] ** 2)
+        return StationFit(self.layout, state, tuple(equations), prior, tuple(centres))
+
+    def _prior_jacobian(self, state: StationState) -> Array:
+        """Return how the deviations from the priors' means change with the parameters (k, k).
+
+        Only k1 depends on another parameter too: the removed k1 belongs to the focal length before the fit.
+        """
+        J = np.eye(self.layout.size)
+        for number, prior in enumerate(self._priors.cameras):
+            start = self.layout.camera(number).start
+            J[start + LENS, start + FOCAL] = 2 * fitted_k1(prior.removed_k1, 0.0, state.log_focal[number])
+        return J
 
     def with_views(self, views: Sequence[FittedCameraView]) -> StationProblem:
         """Return the same problem with other pictures of its cameras, with the same distortion removed."""

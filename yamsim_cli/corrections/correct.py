@@ -103,7 +103,7 @@ class CorrectionCollector(Collector):
 def correction_executor(
     session: Session, workers: int, choice: PolicyChoice, rewind_s: float, job_seconds: float
 ) -> EpisodeExecutor:
-    """Run trials, with their corrections, in processes of this machine.
+    """Return an executor of trials, with their corrections, in processes of this machine.
 
     Args:
         rewind_s: as in `takeover_frame`.
@@ -170,7 +170,7 @@ def correct(
 
     Args:
         policy: name of the policy, for the report.
-        executor_factory: runs the trials, usually `correction_executor`.
+        executor_factory: runs the trials, usually `correction_executor` with its last three arguments bound.
         callbacks: `progress` gets the numbers of finished trials, of requested trials, and of corrections.
 
     Raises:

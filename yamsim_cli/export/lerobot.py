@@ -19,7 +19,7 @@ from ..core.closable import Closable
 from ..core.dataset.environment_state import joints_key, make_state_row, object_pose_keys, state_names
 from ..core.dataset.lowdim import ACTION, RIGHT_IN_LEFT_BASE_KEY, STATE
 from ..core.dataset.reader import RecordedEpisode, StoredEpisode, read_side_by_side_images
-from ..core.errors import DatasetError
+from ..core.errors import DatasetError, UsageError
 from ..core.images.video import BT601, VideoWriter, require_encoder
 from ..core.progress import Progress
 from ..recorded_settings import describe_recorded_settings
@@ -52,7 +52,14 @@ def export_lerobot(
         environment_state: of a simulated dataset: also write object poses as `observation.environment_state`.
         actions: of real recordings: "recorded" for commands, "measured" for joints one frame later, "none" for no
             actions.
+
+    Raises:
+        UsageError: `environment_state` is given for a real recording, or `actions` for a simulated dataset.
     """
+    if environment_state and isinstance(source, RealSource):
+        raise UsageError("environment_state: the poses of objects were not recorded in a real dataset")
+    if actions != "recorded" and isinstance(source, SimulatedSource):
+        raise UsageError("actions: a simulated dataset has recorded actions only")
     content = (
         _RealContent(source, pictures, actions)
         if isinstance(source, RealSource)

@@ -33,7 +33,7 @@ ExecutorFactory = Callable[[Session, int], EpisodeExecutor]
 def process_executor(
     session: Session, workers: int, job_seconds: float = JOB_TIMEOUT, early: EarlyWorker | None = None
 ) -> EpisodeExecutor:
-    """Run attempts in processes of this machine, each up to `job_seconds`, s. The first is `early`, if given."""
+    """Return an executor in processes of this machine, for `job_seconds` (s) an attempt; `early` is the first."""
     runner = functools.partial(AttemptRunner, session, render=True)
     return ProcessPool(runner, workers, job_seconds, early.start if early else None)
 
@@ -45,13 +45,16 @@ def ray_executor(
     environ: Mapping[str, str] | None = None,
     job_seconds: float = JOB_TIMEOUT,
 ) -> EpisodeExecutor:
-    """Run attempts in actors of a Ray cluster, each up to `job_seconds`, s. Without address, a cluster starts here."""
+    """Return an executor in actors of a Ray cluster, for `job_seconds` (s) an attempt.
+
+    Without `address`, a cluster starts on this machine.
+    """
     factory = functools.partial(unpacked_runner, pack_session(session))
     return RayPool(factory, workers, address=address, environ=environ, job_seconds=job_seconds)
 
 
 def inline_executor(session: Session, workers: int) -> EpisodeExecutor:
-    """Run attempts in this process, regardless of the number of workers."""
+    """Return an executor in this process, regardless of the number of workers."""
     return InlineExecutor(lambda: AttemptRunner(session, render=True))
 
 

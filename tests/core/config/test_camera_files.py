@@ -325,6 +325,7 @@ def test_kalibrs_chains(locations: Locations) -> None:
     [
         ({"distortion_model": "equidistant"}, "cam0.distortion_model: 'equidistant' is not valid: calibrate with one"),
         ({"distortion_model": "fov"}, "valid: none, radtan"),
+        ({"distortion_model": "none"}, "remove the coefficients"),
         ({"camera_model": "omni", "intrinsics": [0.9, 1.0, 2.0, 3.0, 4.0]}, "cam0.camera_model: 'omni' is not valid"),
         ({"camera_model": "ds"}, "valid: pinhole"),
         ({"intrinsics": [1.0, 2.0]}, "cam0.intrinsics: [1.0, 2.0] is not valid: must be 4 numbers"),

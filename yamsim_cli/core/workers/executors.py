@@ -45,7 +45,7 @@ class LostJobError(PartialJobError):
 
 
 class Executor(Closable, Generic[J, R]):
-    """Workers that run jobs in parallel. Closing ends all workers at once, even during a job: they hold no data."""
+    """Runs jobs, mostly in workers. Closing ends all workers at once, even during a job: they hold no data."""
 
     @property
     @abstractmethod

@@ -163,9 +163,12 @@ def _convert_kalibr(document: Document, at: CameraKeyPath) -> Document:
     camera.expect("distortion_model", camera.get("distortion_model"), _KALIBR_LENSES)
     fu, fv, pu, pv = camera.get("intrinsics", 4)
     camera.put("K", "intrinsics", [[fu, 0.0, pu], [0.0, fv, pv], [0.0, 0.0, 1.0]])
-    # Without coefficients, yamsim would count the distortion as unknown.
-    is_rectified = camera.get("distortion_model") == "none"
-    camera.put("distortion", "distortion_coeffs", [0.0] * 4 if is_rectified else camera.get("distortion_coeffs"))
+    coefficients = camera.get("distortion_coeffs")
+    if camera.get("distortion_model") == "none":
+        if any(coefficients or ()):
+            camera.refuse("distortion_coeffs", "the distortion_model is 'none'; remove the coefficients or give radtan")
+        coefficients = [0.0] * 4  # without coefficients, yamsim would count the distortion as unknown
+    camera.put("distortion", "distortion_coeffs", coefficients)
     _put_size(camera, "resolution")
     return camera.document()
 
