@@ -35,7 +35,7 @@ _MAX_STEP_OF_PATH = 1.6  # rad, of a joint between two of these postures; more i
 _TURN_STEP = math.radians(8)  # rad, between the angles of a turn at which contacts are checked
 _START_STEPS = 2  # steps of a turn between grasps that are tried to begin it
 _SIMILAR_TURN = math.radians(5)  # rad; a longer turn is preferred if it gains more than this
-_SIMILAR_LEVER = 0.002  # m; levers that differ by less count as equal
+_SIMILAR_LEVER = 0.002  # m; levers are compared in steps of this
 _APPROACH_CHECKS = 4  # postures of an approach at which contacts are checked
 _MIN_TURN = math.radians(25)  # rad, shortest turn of a hand that is tried
 _MIN_GAIN = 0.1  # share of the hand's turn by which the lid has to turn; else it slips between the fingers
@@ -194,10 +194,12 @@ class OpenLid(Skill):
 
 
 def _deflection(hand: Hand, joints: Array, force: Array, torque: Array) -> Array:
-    """Return by how much commanded joints (dof,) have to differ from `joints` for a hand to press, rad.
+    """Return the difference (dof,) of commanded joints from `joints`, rad.
+
+    It is such that the hand exerts a force and a torque while its joints stay at `joints`.
 
     Args:
-        force, torque: (3,) that the hand exerts at its pinch frame, in `world`, N and N m.
+        force, torque: (3,) at the hand's pinch frame, in `world`, N and N m.
     """
     T, efforts = hand.pinch_pose(joints), np.empty(len(joints))
     for k in range(len(joints)):

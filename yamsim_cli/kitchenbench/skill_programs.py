@@ -21,7 +21,6 @@ from .lids import OPEN, SEAL
 from .object_poses import T_in_world
 from .open_lid import OpenLid
 from .pasta import POUR, SCOOP
-from .place_screw_lid import PlaceScrewLid
 from .pour import Pour
 from .scoop import Scoop
 from .sorting import Sort
@@ -29,7 +28,9 @@ from .sorting import Sort
 _RACK_BOW_CLEARANCE = 0.008  # m, between a dish and the bow at an end of the rack
 _STACK_DROP = 0.02  # m, height of release: the fingers around the rim reach below it
 _PLATE_DROP = 0.015  # m over a plate, height of cutlery's release: KitchenBench takes the rim as the top
-_SCREW_LID_DROP = 0.015  # m over a jar, where the fingers around its lid are 4 mm or more from the jar's neck
+# m, last part of a screw lid's way down to its jar. There, the fingers around the lid are 3 mm beside the neck, and the
+# planner keeps 4 mm. From this height, a lid falls and tilts.
+_SCREW_LID_UNCHECKED_DESCENT = 0.015
 _COMPARTMENT_PREFIX = "compartment_"  # the kind of cutlery follows
 
 
@@ -67,9 +68,8 @@ def build_scene_program(
             return [_scoop(blueprint)]
         case kind if kind == SEAL:
             lid = roles["lid"][0]
-            if isinstance(items[lid].shape, CapShape):
-                return _pick_and_place(lid, PlaceScrewLid(thing=lid, on=roles["container"][0], drop=_SCREW_LID_DROP))
-            return _pick_and_place(lid, Place(thing=lid, on=roles["container"][0]))
+            descent = _SCREW_LID_UNCHECKED_DESCENT if isinstance(items[lid].shape, CapShape) else 0.0
+            return _pick_and_place(lid, Place(thing=lid, on=roles["container"][0], unchecked_descent=descent))
     raise LookupError(f"scene {blueprint.scene_id!r}: no expert for goals of kind {blueprint.target_kind!r}")
 
 

@@ -4,6 +4,7 @@ import itertools
 import math
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
+from enum import IntEnum
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -33,10 +34,24 @@ _MAX_UPWARD = 0.1
 _YAW_ANGLES = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180))
 
 
+class _Check(IntEnum):
+    """Checks of goals, in order. Of all goals' faults, that of the last check tells most: a contact, not a reach."""
+
+    ROOM = 0
+    REACH = 1
+    REACH_OVER = 2
+    CONTACT = 3
+    CONTACT_OVER = 4
+    WAY = 5
+
+
 class PlaceSkill(Skill):
     """Base class of the skills that put down a held object; `goal_poses` gives the poses in which it may lie.
 
-    The object is released `drop` (m) over the goal, so that fingers do not touch the support.
+    Attributes:
+        drop: height over the goal at which the object is released, so that fingers do not touch the support, m.
+        unchecked_descent: last part of the way down, in which contacts are not checked, m. It is for a goal where the
+            fingers come closer to the support than the planner allows, and for an object that must not fall.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -45,6 +60,7 @@ class PlaceSkill(Skill):
     LOWERING_SPEED: ClassVar[float] = 0.15  # m/s, speed at which an object comes down
     thing: str
     drop: Annotated[FiniteFloat, QuantityBounds("m", 0, 0.05)] = 0.0
+    unchecked_descent: Annotated[FiniteFloat, QuantityBounds("m", 0, 0.05)] = 0.0
 
     def support_name(self, roles: RoleAssignment) -> str:
         """Return the name of the support: an object or `table`."""
@@ -82,28 +98,27 @@ class PlaceSkill(Skill):
         next_skills: Sequence[Skill] = (),
     ) -> str | None:
         """See `Skill.infeasibility_reason`."""
-        # For each check, the last fault that it found. The fault of the last check tells most: a contact, not a reach.
-        faults = {0: f"there is no room for it on or in the {self.support_name(roles)}"}
+        faults = {_Check.ROOM: f"there is no room for it on or in the {self.support_name(roles)}"}
         load = AttachedObject(thing, T_thing_in_pinch, (TABLE, *context.world.object_names))
         for T_lying in self._ordered_goals(context, roles, thing, T_thing_in_pinch):
-            T_goal = pose_raised_by(T_lying, self.drop)
+            T_goal = pose_raised_by(T_lying, self.drop + self.unchecked_descent)
             T_pinch = T_goal @ invert_pose(T_thing_in_pinch)
             can_point_there = is_orientation_plausible(T_pinch, hand.arm.T_base_in_world)
             goal_joints = hand.solve_ik(T_pinch, (joints, hand.ready_joints)) if can_point_there else None
             if goal_joints is None:
-                faults[1] = f"the {hand.side} arm does not reach its goal with it"
+                faults[_Check.REACH] = f"the {hand.side} arm does not reach its goal with it"
                 continue
             hover_joints = hand.solve_ik(
                 pose_raised_by(T_goal, HOVER_HEIGHT) @ invert_pose(T_thing_in_pinch), (goal_joints,), WAYPOINT_TOLERANCE
             )
             if hover_joints is None:
-                faults[2] = f"the {hand.side} arm does not reach over its goal with it"
+                faults[_Check.REACH_OVER] = f"the {hand.side} arm does not reach over its goal with it"
             elif blocked := context.find_contact(hand, goal_joints, hand.opening, load):
-                faults[3] = f"{blocked} at its goal"
+                faults[_Check.CONTACT] = f"{blocked} at its goal"
             elif blocked := context.find_contact(
                 hand, hover_joints, hand.opening, AttachedObject(thing, T_thing_in_pinch)
             ):
-                faults[4] = f"{blocked} over its goal"
+                faults[_Check.CONTACT_OVER] = f"{blocked} over its goal"
             else:
                 return None
         return faults[max(faults)]
@@ -115,7 +130,7 @@ class PlaceSkill(Skill):
         thing = roles.object_of(self.thing)
         hand = require_holding_hand(context, thing, "put down")
         held = context.measure_held_object(hand)
-        fault = f"there is no room for the {thing} on or in the {self.support_name(roles)}"
+        faults = {_Check.ROOM: f"there is no room for the {thing} on or in the {self.support_name(roles)}"}
         relaxed = self.without_preferences(context, roles)
         candidates = (
             (allow_tilt, T_lying)
@@ -123,23 +138,23 @@ class PlaceSkill(Skill):
             for T_lying in relaxed._ordered_goals(context, roles, thing, held.T_thing_in_pinch)
         )
         for allow_tilt, T_lying in candidates:
-            fault = f"the {hand.side} arm does not reach over its goal with the {thing}"
-            T_goal = pose_raised_by(T_lying, self.drop)
+            T_goal = pose_raised_by(T_lying, self.drop + self.unchecked_descent)
             T_pinch = T_goal @ invert_pose(held.T_thing_in_pinch)
             with context.planning_limits(0.0, allow_tilt):
                 joints = self._hover_joints(hand, T_pinch)
                 if joints is None or hand.solve_ik(T_pinch, (joints,), WAYPOINT_TOLERANCE) is None:
+                    faults[_Check.REACH_OVER] = f"the {hand.side} arm does not reach over its goal with the {thing}"
                     continue
             try:
                 path = context.plan_free_path(hand, joints, attached=AttachedObject(thing, held.T_thing_in_pinch))
             except SkillFailedError as error:
-                fault = str(error)
+                faults[_Check.WAY] = str(error)
                 continue
             yield context.make_segment({hand: path})
-            yield from self._lower_and_release(context, hand, thing, T_goal)
+            yield from self._lower_and_release(context, hand, thing, pose_raised_by(T_lying, self.drop))
             self._require_placed(context, thing, self.support_name(roles), T_lying)
             return
-        raise SkillFailedError(FailureCause.UNREACHABLE, fault)
+        raise SkillFailedError(FailureCause.UNREACHABLE, faults[max(faults)])
 
     def _hover_joints(self, hand: Hand, T_pinch: Array) -> Array | None:
         return hand.solve_ik(
