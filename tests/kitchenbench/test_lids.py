@@ -139,7 +139,7 @@ def test_a_stiff_lid_opens_within_65_actions() -> None:
     built, seed = _build("open_container", "stiff-jar", 2)
     planning = PlanningScene(built, seed, 10)
     try:
-        # Without the deflection of the arms by 2.4 N m, this takes 78 actions.
+        # Without the deflection of the arms by 2.4 N m in the commands, this takes more actions.
         assert run_expert(planning, KitchenJudge(built, planning.motion), 120) <= 65
     finally:
         planning.close()
