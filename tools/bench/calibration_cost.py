@@ -23,13 +23,16 @@ import yaml
 from rich.console import Console
 
 from tools.bench.board_poses import pose_difference
-from tools.bench.calibration_stations import FOCAL_ERROR, ONE_ARM, QUALITY, run_yamsim, scene_of
+from tools.bench.calibration_stations import ONE_ARM, QUALITY, camera_with_focal_error, run_yamsim, scene_of
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.config.scene import FixedCamera
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.files.writing import scratch_directory
+from yamsim_cli.core.geometry.camera import opencv_from_mujoco
 from yamsim_cli.core.geometry.se3 import quat_from_rotation
+from yamsim_cli.core.scene.cameras import fixed_camera
 
 EPISODES = 4
 
@@ -41,12 +44,8 @@ def write_rig(rng: np.random.Generator, count: int, file: Path) -> None:
     cameras = []
     for number in range(count):
         view = scene_of(rng, 1)["scene_camera"]
-        forward = np.subtract(view["look_at"], view["position"])
-        forward /= np.linalg.norm(forward)
-        right = np.cross(forward, (0.0, 0.0, 1.0))
-        right /= np.linalg.norm(right)
-        axes = np.column_stack([right, np.cross(forward, right), forward])
-        place = {"position": view["position"], "quat": quat_from_rotation(axes).tolist()}
+        T = fixed_camera("", FixedCamera.model_validate(view)).T_in_body
+        place = {"position": view["position"], "quat": quat_from_rotation(opencv_from_mujoco(T[:3, :3])).tolist()}
         cameras.append({"name": f"camera{number + 1}", "arm": arm.name, **place, "fovy_deg": view["fovy_deg"]})
     named = {"name": arm.name, "side": arm.side, "prefix": arm.prefix}
     robot = {"model": arm.model.name, "gripper": arm.gripper.name}
@@ -70,8 +69,7 @@ def record(seed: int, folder: Path, cameras: int, size: str) -> None:
     width, height = map(int, size.split("x"))
     for name in (f"camera{number + 1}" for number in range(cameras)):
         K = np.array(first["intrinsics"][name], dtype=np.float64)
-        K[[0, 1], [0, 1]] *= 1 + FOCAL_ERROR * rng.standard_normal()
-        camera = {"width": width, "height": height, "K": K.tolist(), "distortion": [0.0] * 4}
+        camera = {**camera_with_focal_error(K, (width, height), rng), "distortion": [0.0] * 4}
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(camera))
 
 

@@ -48,7 +48,7 @@ MAX_K1 = 0.08  # of a lens
 BASE_SHIFT, BASE_YAW = 0.02, 3.0  # m, degrees
 WRIST_SHIFT, WRIST_TURN = 0.004, math.radians(2.0)  # m, rad
 HAND_SHARE, HAND_SIZE = 0.3, 0.12  # share of pictures with a hand, and half its width over the picture's width
-READOUT = 0.03  # s, of a rolling shutter, from the first to the last row: those of 30 Hz cameras take up to a period
+READOUT = 0.03  # s, from the exposure of the first row to that of the last; a 30 Hz camera takes at most 0.033 s
 _NOT_RENDERED = b"no picture"  # content of a file that the fit must not read: it would end with an error
 _SKIN = (142.0, 172.0, 214.0)  # BGR
 QUALITY = {
@@ -339,6 +339,13 @@ def _truth(rig: RigConfig, first: Mapping[str, Any], options: StationOptions, of
     return Planted(own @ T_cam_in_base, offsets, delay, focal, second, wrists)
 
 
+def camera_with_focal_error(K: Array, size_px: tuple[int, int], rng: np.random.Generator) -> dict[str, Any]:
+    """Return the keys of a camera file whose focal length has an error; `K` (3, 3) is the true matrix."""
+    guessed = K.copy()
+    guessed[[0, 1], [0, 1]] *= 1 + FOCAL_ERROR * rng.standard_normal()
+    return {"width": size_px[0], "height": size_px[1], "K": guessed.tolist()}
+
+
 def _write_cameras(
     folder: Path, matrices: Mapping[str, Array], options: StationOptions, rng: np.random.Generator
 ) -> CameraModel | None:
@@ -346,14 +353,11 @@ def _write_cameras(
     width, height = options.size_px
     lens = None
     for name in sorted(matrices, key=lambda one: one != CAMERA):
-        K = matrices[name].copy()
-        true_K = K.copy()
-        K[[0, 1], [0, 1]] *= 1 + FOCAL_ERROR * rng.standard_normal()
-        camera: dict[str, Any] = {"width": width, "height": height, "K": K.tolist()}
+        camera = camera_with_focal_error(matrices[name], options.size_px, rng)
         if name == CAMERA and options.lens != "none":
             k1 = rng.uniform(-MAX_K1, MAX_K1)
             distortion = (float(k1), float(-k1 / 4), 0.0, 0.0)
-            (a, b, c), (d, e, f), _ = true_K.tolist()
+            (a, b, c), (d, e, f), _ = matrices[name].tolist()
             lens = CameraModel(width, height, ((a, b, c), (d, e, f), (0.0, 0.0, 1.0)), distortion)
             if options.lens == "given":
                 camera["distortion"] = list(distortion)

@@ -98,11 +98,12 @@ def cut_station(station: Path, out: Path, cut: Cut) -> None:
 
 def measure(stations: Sequence[Path], shares: Sequence[float], is_near: bool, console: Console) -> None:
     """Print the errors of each share; `is_near` tells whether the search gets an earlier calibration."""
+    changed = [changed_pixels(station) for station in stations]
     for share in shares:
         rows = []
         for number, station in enumerate(stations):
             planted, seed = Planted.load(station / "truth.json"), int(station.name.split("_")[0])
-            cut = choose_cut(changed_pixels(station), share, number)
+            cut = choose_cut(changed[number], share, number)
             if cut is None:
                 console.print(f"{share:.0%}, {seed}: the principal point would be outside of the picture")
                 continue

@@ -3,8 +3,8 @@
     python -m tools.bench.filament_episode DATASET/ep_000000 OUT CAMERA 0 7 12 [--readout 0.03]
 
 The pictures are rendered at twice their size, averaged, and written as OUT/000007.png. With `--readout`, the camera
-has a rolling shutter: the rows are exposed one after another. The middle one is exposed at the picture's time, so that
-the planted delay is that of the whole picture.
+has a rolling shutter: the rows are exposed one after another, and the middle row at the picture's time. On average, the
+rows are therefore as late as in a picture without a rolling shutter.
 Filament needs a Vulkan driver, see `yamsim doctor`.
 """
 

@@ -18,16 +18,15 @@ import numpy as np
 from inspect_robots.rollout import derive_seed
 from kitchenbench.sim import build_blueprint
 
+from tools.bench.kitchen_expert import run_expert_by_options, scenes_of
 from yamsim_cli.core.config.objects.articulation import LinkJoint
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.kitchenbench.benchmark_scene import BenchmarkScene, build_benchmark_scene, open_station_session
 from yamsim_cli.kitchenbench.lids import LID
 
-from .pouring import run_expert_by_options, scenes_of
-
 _TASKS = {"open": "open_container", "seal": "seal_container"}  # option -> the benchmark's task
 _CURVES = {"bottle-cap": 9, "tilted": 9, "snap-lid": 11}  # scene with another lid each -> points of its curve
-_SPEEDS = (0.2, 0.002)  # rad/s and m/s, of a slow hand at a screw lid and at a snap lid
+_SCREW_SPEED, _SLIDE_SPEED = 0.2, 0.002  # rad/s and m/s, of a slow hand at a screw lid and at a snap lid
 
 
 def main() -> None:
@@ -60,7 +59,7 @@ def opening_efforts(built: BenchmarkScene, container: str, joint: LinkJoint, pla
     """Return the efforts (n,) that move a lid slowly through positions (n,) of its joint: N m and rad, or N and m."""
     model = built.simulator.scene.model
     data = mujoco.MjData(model)
-    speed = _SPEEDS[0 if joint.type == "screw" else 1]
+    speed = _SCREW_SPEED if joint.type == "screw" else _SLIDE_SPEED
     lid, efforts = model.joint(f"{container}_{LID}"), np.empty(len(places))
     for k, place in enumerate(places):
         data.qpos[:], data.qvel[:], data.qacc[:] = built.start, 0.0, 0.0

@@ -11,17 +11,13 @@ python -m tools.bench.pouring --scoop --realizations 0 1 2 3 4 --seed 0
 
 from __future__ import annotations
 
-import argparse
 import time
-from collections.abc import Mapping
-from typing import Any
 
 from inspect_robots.rollout import derive_seed
-from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint
 
+from tools.bench.kitchen_expert import run_expert_by_options, scenes_of
 from yamsim_cli.kitchenbench.benchmark_scene import TICK_HZ, build_benchmark_scene, open_station_session
-from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
 from yamsim_cli.kitchenbench.success_judges import KitchenJudge
 
@@ -32,57 +28,6 @@ def main() -> None:
     """Measure from the command line."""
     if not run_expert_by_options(__doc__, _TASKS):
         hold_still()
-
-
-def run_expert_by_options(doc: str, options: Mapping[str, str]) -> bool:
-    """Let the expert act in the scenes that the command line names, and return whether it names any.
-
-    Args:
-        doc: the tool's documentation; its first line is the description.
-        options: option -> the benchmark's task.
-    """
-    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
-    scenes = {option: scenes_of(task) for option, task in options.items()}
-    for option, found in scenes.items():
-        parser.add_argument(f"--{option}", nargs="*", metavar="SCENE", help=f"all, or some of: {', '.join(found)}")
-    parser.add_argument("--realizations", nargs="*", type=int, default=[0])
-    parser.add_argument("--seed", type=int, default=0)
-    given = vars(parser.parse_args())
-    for option, task in options.items():
-        if given[option] is None:
-            continue
-        if unknown := set(given[option]) - scenes[option].keys():
-            parser.error(f"unknown scene {', '.join(sorted(unknown))}; valid: {', '.join(scenes[option])}")
-        solved = [
-            solve(scenes[option][name], int(derive_seed(given["seed"], scenes[option][name].init_seed, number)), number)
-            for name in given[option] or scenes[option]
-            for number in given["realizations"]
-        ]
-        print(f"{task}: {sum(solved)} of {len(solved)}")
-    return any(given[option] is not None for option in options)
-
-
-def scenes_of(task: str) -> dict[str, Any]:
-    """Return short name -> scene of a task."""
-    return {scene.id.removeprefix(f"{task.replace('_', '-')}-"): scene for scene in tasks.TASK_FACTORIES[task]().scenes}
-
-
-def solve(scene: Any, seed: int, number: int) -> bool:
-    """Let the expert act in a realization, print the verdict, and return whether it succeeded."""
-    blueprint, begin = build_blueprint(scene, seed), time.process_time()
-    realized = build_benchmark_scene(blueprint, open_station_session("64x48", images=False))
-    planning = PlanningScene(realized, seed, TICK_HZ // 3)
-    judge = KitchenJudge(realized, planning.motion)
-    max_actions = tasks.TASK_FACTORIES[scene.metadata["task"]]().max_steps
-    assert max_actions is not None, "KitchenBench's tasks limit the number of actions"
-    actions = run_expert(planning, judge, max_actions)
-    reached, explanation = judge.evaluate()
-    reached &= actions <= max_actions
-    tools = "".join(f" {item.asset}" for item in blueprint.objects if item.role == "tool")
-    print(f"{scene.id} {number}{tools}: {reached}, {explanation}", end=", ")
-    print(f"{actions} actions, {time.process_time() - begin:.0f} s", flush=True)
-    planning.close()
-    return reached
 
 
 def hold_still() -> None:

@@ -304,7 +304,7 @@ class StationCalibrator:
         figures: Mapping[str, float],
     ) -> _Started:
         """Fit the best hypotheses to the outlines, and keep the best."""
-        problem = StationProblem(self._rig, [prepared.view], self._episodes, FitPriors((start.prior,)))
+        problem = self._problem([prepared.view], [start])
         fits = []
         for one in hypotheses[:2]:
             focal = math.log(one.focal_scale)
@@ -319,7 +319,7 @@ class StationCalibrator:
             start = start.with_k1(float(np.clip(k1, -_MAX_K1, _MAX_K1)))
             prepared, state = self._prepare(name, start.model), replace(state, lenses=(0.0,))
         prepared = with_clean_backgrounds(prepared, state, 0, self._episodes)
-        problem = StationProblem(self._rig, [prepared.view], self._episodes, FitPriors((start.prior,)))
+        problem = self._problem([prepared.view], [start])
         best = _converged_fit(problem, problem.fit(state, _SHARED_REACHES))
         share = found_share(best)
         figures = {**figures, "found_share": share, "outline_px": outline_px(best, 0)}
@@ -337,6 +337,10 @@ class StationCalibrator:
                 "farther to the sides"
             )
         return _Started(CameraOutcome(name, start, refusal, figures), prepared, best.state)
+
+    def _problem(self, views: Sequence[FittedCameraView], starts: Sequence[CameraStart]) -> StationProblem:
+        """Return the fit of cameras' pictures, from which the distortions of `starts` were removed."""
+        return StationProblem(self._rig, views, self._episodes, FitPriors(tuple(one.prior for one in starts)))
 
     def _border_hint(self, frames: Sequence[ChosenFrame]) -> str:
         """Return a remedy if the camera may see only a part of the arms, and no approximate pose was given."""
@@ -372,8 +376,7 @@ class StationCalibrator:
         if not usable:
             return StationOutcome(tuple(one.outcome for one in started), (), (), (), None, None)
         views = tuple(one.prepared.view for one in usable)
-        priors = FitPriors(tuple(one.outcome.start.prior for one in usable))
-        problem = StationProblem(self._rig, views, self._episodes, priors)
+        problem = self._problem(views, [one.outcome.start for one in usable])
         fit = problem.fit(_joined_state([one.state for one in usable if one.state]), _SHARED_REACHES)
         intervals = estimate_intervals(problem, fit)
         fitted = tuple(one.outcome.name for one in usable)

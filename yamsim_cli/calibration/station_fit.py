@@ -261,19 +261,22 @@ class StationProblem:
         """Return the fit that starts at a state; the start does not change what the priors assume."""
         for number, reach in enumerate(reaches):
             equations, centres = self.linearize(state, reach)
-            J = self._prior_jacobian(state)
-            normal = J.T @ (J / self.sigma[:, None] ** 2) + sum(one.normal for one in equations)
-            right_hand_side = sum(one.right_hand_side for one in equations)
-            right_hand_side -= J.T @ (self.prior_deviation(state) / self.sigma**2)
+            prior, towards_prior = self._prior_equations(state)
+            normal = prior + sum(one.normal for one in equations)
+            right_hand_side = towards_prior + sum(one.right_hand_side for one in equations)
             damped = normal + 1e-9 * np.diag(np.diag(normal) + 1e-12)
             step: Array = np.linalg.solve(damped, right_hand_side).astype(np.float64)
             state = self.apply(state, step, centres)
             if number >= len(reaches) - 3 and self._displacement(step) < _CONVERGED:
                 break
         equations, centres = self.linearize(state, reaches[-1])
+        return StationFit(self.layout, state, tuple(equations), self._prior_equations(state)[0], tuple(centres))
+
+    def _prior_equations(self, state: StationState) -> tuple[Array, Array]:
+        """Return the normal equations (k, k) and (k,) of what the priors assume."""
         J = self._prior_jacobian(state)
-        prior = J.T @ (J / self.sigma[:, None] ** 2)
-        return StationFit(self.layout, state, tuple(equations), prior, tuple(centres))
+        weighted = J.T / self.sigma**2
+        return weighted @ J, -weighted @ self.prior_deviation(state)
 
     def _prior_jacobian(self, state: StationState) -> Array:
         """Return how the deviations from the priors' means change with the parameters (k, k).

@@ -111,7 +111,8 @@ class LensWarp:
             ]
         )
         rays = viewing_rays(camera, border)
-        reach = np.abs(rays).max(axis=0) * (1 + _MARGIN)
+        widest = np.abs(rays).max(axis=0)
+        reach = widest * (1 + _MARGIN)
         if not np.isfinite(reach).all() or reach.max() > math.tan(_MAX_HALF_ANGLE):
             raise ConfigError(
                 f"the camera sees {math.degrees(math.atan(float(reach.max()))):.0f} degrees off its axis, too wide for "
@@ -126,7 +127,7 @@ class LensWarp:
         self.ideal = Intrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
         self._camera = camera
         self.supersample = supersample
-        self._window = self._coarse_window(rays, _MARGIN / (1 + _MARGIN) * reach)
+        self._window = self._coarse_window(rays, _MARGIN * widest)
         self._known_maps: dict[int, tuple[NDArray[np.float32], NDArray[np.float32]]] = {}
 
     @property

@@ -204,11 +204,8 @@ def lerobot(
     """
     source = _open_dataset(dataset, episodes, selection, who, fps, actions)
 
-    from yamsim_cli.export.export_source import RealSource
     from yamsim_cli.export.lerobot import export_lerobot
 
-    if environment_state and isinstance(source, RealSource):
-        raise UsageError(f"--environment-state: {dataset} is real, and the poses of its objects were not recorded")
     with progress_bar("exporting", "episodes") as advance:
         done = export_lerobot(
             source,

@@ -57,9 +57,9 @@ def export_lerobot(
         UsageError: `environment_state` is given for a real recording, or `actions` for a simulated dataset.
     """
     if environment_state and isinstance(source, RealSource):
-        raise UsageError("environment_state: the poses of objects were not recorded in a real dataset")
+        raise UsageError(f"--environment-state: {source.path} is real, and the poses of its objects were not recorded")
     if actions != "recorded" and isinstance(source, SimulatedSource):
-        raise UsageError("actions: a simulated dataset has recorded actions only")
+        raise UsageError(f"--actions: {source.path} is simulated, and has recorded actions only")
     content = (
         _RealContent(source, pictures, actions)
         if isinstance(source, RealSource)

@@ -42,7 +42,11 @@ _REST_SECONDS = 0.5  # after the points of a pull are released
 
 
 class ClothState:
-    """Read access to the present state of a cloth. `addresses` are those of its points in MuJoCo's arrays."""
+    """Read access to the present state of a cloth.
+
+    Attributes:
+        addresses: places of the cloth's points in MuJoCo's arrays.
+    """
 
     def __init__(self, cloth: ClothAddresses, data: mujoco.MjData) -> None:
         self.addresses, self._data = cloth, data

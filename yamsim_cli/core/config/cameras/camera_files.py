@@ -160,11 +160,12 @@ def _single_camera(document: Document) -> Document:
 def _convert_kalibr(document: Document, at: CameraKeyPath) -> Document:
     camera = _CameraConverter(document, at)
     camera.expect("camera_model", camera.get("camera_model"), _KALIBR_MODELS)
-    camera.expect("distortion_model", camera.get("distortion_model"), _KALIBR_LENSES)
+    lens = camera.get("distortion_model")
+    camera.expect("distortion_model", lens, _KALIBR_LENSES)
     fu, fv, pu, pv = camera.get("intrinsics", 4)
     camera.put("K", "intrinsics", [[fu, 0.0, pu], [0.0, fv, pv], [0.0, 0.0, 1.0]])
     coefficients = camera.get("distortion_coeffs")
-    if camera.get("distortion_model") == "none":
+    if lens == "none":
         if any(coefficients or ()):
             camera.refuse("distortion_coeffs", "the distortion_model is 'none'; remove the coefficients or give radtan")
         coefficients = [0.0] * 4  # without coefficients, yamsim would count the distortion as unknown

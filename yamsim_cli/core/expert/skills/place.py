@@ -35,7 +35,7 @@ _YAW_ANGLES = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -
 
 
 class _Check(IntEnum):
-    """Checks of goals, in order. Of all goals' faults, that of the last check tells most: a contact, not a reach."""
+    """The checks of a goal, in order. If all goals fail, the message names the fault of the last check reached."""
 
     ROOM = 0
     REACH = 1
