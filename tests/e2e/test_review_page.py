@@ -123,7 +123,8 @@ def test_two_episodes_side_by_side(browser: Browser, dataset: Path) -> None:
         assert "Episode 0, 4 frames" in browser.text()
         assert browser.run("return document.documentElement.scrollWidth") <= 1366
         assert "faint: the joints of episode 0" in browser.run("return document.getElementById('timeline').ariaLabel")
-        # The same key pins this one as soon as it has arrived.
+        wait_until(lambda: "frame 0 of 3" in browser.text(), 120)
+        # The same key pins this one.
         browser.keys("\ue014")
         wait_until(lambda: "frame 1 of 3" in browser.text(), 120)
         browser.keys("c")

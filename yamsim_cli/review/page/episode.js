@@ -12,10 +12,15 @@ class Cameras {
     Object.assign(this, {box, address, pictures: new Map(), canvases: []});
   }
 
-  open(detail) {
-    this.detail = detail;
+  clear() {
     this.pictures.clear();
     this.box.replaceChildren();
+    this.canvases = [];
+  }
+
+  open(detail) {
+    this.clear();
+    this.detail = detail;
     this.canvases = detail.cameras.map((camera) => {
       const canvas = document.createElement("canvas"), caption = document.createElement("figcaption");
       [canvas.width, canvas.height] = detail.sizes[camera];
@@ -87,6 +92,8 @@ export class EpisodeView {
     this.pause();
     this.detail = null;
     this.wanted = episode;
+    this.cameras.clear();
+    this.find("time").textContent = "";
     const detail = await get(`/api/episode/${episode}`);
     if (this.wanted !== episode) return;
     this.detail = detail;
@@ -135,7 +142,8 @@ export class EpisodeView {
     this.find("time").textContent = `frame ${this.frame} of ${this.detail.frames - 1}, ${time.toFixed(2)} s`;
     this.slider.ariaValueText = this.find("time").textContent;
     this.paint();
-    const wanted = this.frame, isWanted = () => wanted === this.frame && this.detail;
+    const wanted = this.frame, detail = this.detail;
+    const isWanted = () => wanted === this.frame && detail === this.detail;
     const shown = [this.cameras.draw(wanted, isWanted)];
     if (this.pinned.detail) shown.push(this.pinned.draw(Math.min(wanted, this.pinned.detail.frames - 1), isWanted));
     const fault = (await Promise.all(shown)).find(Boolean);
