@@ -363,7 +363,9 @@ class StationProblem:
         K[[0, 1], [0, 1]] *= math.exp(state.log_focal[camera])
         parts = [
             (line, offsets, kind)
-            for line, offsets, kind in outlines_and_edges(picture, shown, view.kinds[frame], reach)
+            for line, offsets, kind in outlines_and_edges(
+                picture, shown, view.renderer.outside_photo, view.kinds[frame], reach
+            )
             if len(line.points) >= _MIN_LINE
         ]
         axes = view.renderer.joint_axes()
@@ -471,19 +473,26 @@ class _FrameRows:
 
 
 def outlines_and_edges(
-    picture: BodyPicture, shown: ChosenFrame, kinds: NDArray[np.uint8], reach: float
+    picture: BodyPicture,
+    shown: ChosenFrame,
+    outside: NDArray[np.bool_],
+    kinds: NDArray[np.uint8],
+    reach: float,
 ) -> Iterator[tuple[MaskOutline, EdgeOffsets, int]]:
-    """Yield the outlines of the moving and of the still bodies with the picture's edges within `reach` (grains)."""
+    """Yield the outlines of the moving and of the still bodies with the picture's edges within `reach` (grains).
+
+    Pixels `outside` (height, width) are not in the photo.
+    """
     kind_of = np.where(picture.bodies > 0, kinds[picture.bodies], 0).astype(np.uint8)
     moving = kind_of == MOVING
     if moving.any():
         # The moving arm is where the picture differs from the background: towards its outline, the difference ends.
-        line = mask_outline(moving, ((kind_of > 0) & ~moving) | ~shown.known)
+        line = mask_outline(moving, ((kind_of > 0) & ~moving) | ~shown.known | outside)
         seen = edge_offsets(shown.change, line, reach, falling=True)
         yield line, _without_own(seen, rendered_edges(picture, kinds == MOVING, line, CHANGE_BLUR)), MOVING
     still = kind_of == STILL
     if still.any():
-        line = mask_outline(still, ((kind_of > 0) & ~still) | _grown(shown.changed & ~still))
+        line = mask_outline(still, ((kind_of > 0) & ~still) | _grown(shown.changed & ~still) | outside)
         seen = edge_offsets(shown.grey, line, reach)
         yield line, _without_own(seen, rendered_edges(picture, kinds == STILL, line, 0.0)), STILL
 

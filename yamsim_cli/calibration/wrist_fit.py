@@ -292,7 +292,7 @@ class _WristProblem:
         flange = renderer.flange_pose(self._arm)
         renderer.set_poses({self._arm: T @ invert_pose(flange)}, postures)
         picture = renderer.body_picture()
-        line = mask_outline(self._gripper[picture.bodies])
+        line = mask_outline(self._gripper[picture.bodies], renderer.outside_photo)
         seen = edge_offsets(one.grey, line, reach).offsets
         seen = seen - rendered_edges(picture, self._gripper, line, 0.0).offsets
         inside = np.round(line.points - 1.5 * line.normals).astype(int)

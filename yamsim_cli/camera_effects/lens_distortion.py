@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -137,12 +138,24 @@ class LensWarp:
 
     def undistort_photo(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Undistort a photo into a picture of the camera `coarse_intrinsics`."""
+        flat = cv2.remap(photo, *self._undistortion_maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(flat, dtype=np.uint8)
+
+    @cached_property
+    def outside_photo(self) -> NDArray[np.bool_]:
+        """Mask (height, width) of the pixels of an undistorted photo that the photo does not show."""
+        x, y = self._undistortion_maps
+        shown = (x >= 0) & (x <= self._camera.width - 1) & (y >= 0) & (y <= self._camera.height - 1)
+        return np.asarray(~shown)
+
+    @cached_property
+    def _undistortion_maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The real camera's x and y, px, at each pixel (height, width) of `coarse_intrinsics`."""
         ideal, K = self.coarse_intrinsics, np.array(self._camera.K)
-        map_x, map_y = cv2.initUndistortRectifyMap(
+        x, y = cv2.initUndistortRectifyMap(
             K, np.array(self._camera.distortion), np.eye(3), ideal.K, (ideal.width, ideal.height), cv2.CV_32FC1
         )
-        flat = cv2.remap(photo, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(flat, dtype=np.uint8)
+        return np.asarray(x, np.float32), np.asarray(y, np.float32)
 
     @property
     def coarse_intrinsics(self) -> Intrinsics:

@@ -35,7 +35,7 @@ def score_outlines(result: RigInPhoto, renderer: ArmRenderer, grey: NDArray[np.u
     flat_grey = renderer.undistort_photo(grey)
     labels = renderer.undistorted_label_image()
     offsets = {
-        k: edge_offsets(flat_grey, mask_outline(labels == k + 1, _other_arms_mask(labels, k)))
+        k: edge_offsets(flat_grey, mask_outline(labels == k + 1, _other_arms_mask(labels, k) | renderer.outside_photo))
         for k in result.base_poses
     }
     arms = tuple(
@@ -87,7 +87,7 @@ def refine_poses(
 def _arm_edge_equations(
     flat: ArmsInPinholePicture, flat_grey: NDArray[np.uint8], k: int, centre: Array, reach: float
 ) -> PoseCorrectionEquations | None:
-    line = mask_outline(flat.labels == k + 1, _other_arms_mask(flat.labels, k))
+    line = mask_outline(flat.labels == k + 1, _other_arms_mask(flat.labels, k) | flat.outside_photo)
     if len(line.points) < _MIN_POINTS:
         return None
     inside = np.round(line.points - line.normals).astype(int)

@@ -49,10 +49,12 @@ class ArmsInPinholePicture:
     """Arms in an ideal pinhole picture with camera `intrinsics`.
 
     `labels` (height, width): 0 background, k the k-th arm; `depth` is the surface's z in the camera frame, m.
+    `outside_photo` (height, width): the pixels that the photo does not show.
     """
 
     labels: NDArray[np.uint8]
     depth: NDArray[np.float32]
+    outside_photo: NDArray[np.bool_]
     intrinsics: Intrinsics
 
 
@@ -136,7 +138,9 @@ class ArmRenderer(Closable):
     def pinhole_arms(self) -> ArmsInPinholePicture:
         """Render labels and depth without lens distortion."""
         depth = self._warp.coarse_picture(self._renderer.render_depth(self._data, _CAMERA))
-        return ArmsInPinholePicture(self.undistorted_label_image(), depth, self._warp.coarse_intrinsics)
+        return ArmsInPinholePicture(
+            self.undistorted_label_image(), depth, self.outside_photo, self._warp.coarse_intrinsics
+        )
 
     def _undistorted_labels(self) -> NDArray[np.uint8]:
         if self._labels is None:
@@ -146,6 +150,11 @@ class ArmRenderer(Closable):
     def undistort_photo(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Undistort a photo, aligned with `pinhole_arms`."""
         return self._warp.undistort_photo(photo)
+
+    @property
+    def outside_photo(self) -> NDArray[np.bool_]:
+        """Mask (height, width) of the pixels of an undistorted photo that the photo does not show."""
+        return self._warp.outside_photo
 
     def close(self) -> None:
         """Free the OpenGL context."""
