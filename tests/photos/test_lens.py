@@ -152,3 +152,16 @@ def test_a_lens_too_wide_for_a_pinhole_is_refused() -> None:
     K = ((80.0, 0.0, 320.0), (0.0, 80.0, 240.0), (0.0, 0.0, 1.0))
     with pytest.raises(ConfigError, match="too wide for a pinhole model; at most 75: check K and distortion"):
         LensWarp(CameraModel(640, 480, K))
+
+
+@CAMERAS
+def test_an_undistorted_photo_says_what_it_does_not_show(camera: CameraModel) -> None:
+    warp = LensWarp(camera)
+    flat = warp.coarse_intrinsics
+    x, y = np.meshgrid(np.arange(flat.width), np.arange(flat.height))
+    rays = np.stack([(x - flat.cx) / flat.fx, (y - flat.cy) / flat.fy, np.ones(x.shape)], axis=-1)
+    u, v = np.moveaxis(project_points(camera, rays.reshape(-1, 3)).reshape(*x.shape, 2), -1, 0)
+    beyond = np.maximum.reduce([-u, u - (camera.width - 1), -v, v - (camera.height - 1)])  # px, if positive
+    clear = np.abs(beyond) > 0.01
+    assert (warp.outside_photo == (beyond > 0))[clear].all()
+    assert 0.02 < warp.outside_photo.mean() < 0.3
