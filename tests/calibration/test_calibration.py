@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.calibration.handmade_station import handmade_station
-from yamsim_cli.calibration.calibrate_run import CameraOutcome, CameraStart, StationOutcome
+from yamsim_cli.calibration.calibrate_run import CameraOutcome, StationOutcome
 from yamsim_cli.calibration.calibration_file import (
     CalibratedArm,
     CalibratedCamera,
@@ -21,6 +21,7 @@ from yamsim_cli.calibration.calibration_file import (
     load_calibration,
 )
 from yamsim_cli.calibration.calibration_report import make_calibration, require_agreement, write_page, write_results
+from yamsim_cli.calibration.camera_start import CameraStart
 from yamsim_cli.calibration.chosen_frames import (
     BackgroundPicture,
     compare_with_background,
@@ -177,18 +178,21 @@ def test_the_pose_and_the_focal_length_are_of_one_fit(single: RigConfig, focal: 
 
 
 def test_the_pose_of_a_wrist_camera_and_its_focal_length_are_of_one_fit(single: RigConfig) -> None:
-    wrist = WristOutcome("wrist", MODEL, WristFit("wrist", 0, np.eye(4), math.log(0.99), EXACT, 30, 1, 0.9, 0.2), None)
+    model = CameraStart(MODEL, True, False).fitted_model(0.03, math.log(0.99))
+    wrist = WristOutcome("wrist", WristFit("wrist", 0, np.eye(4), model, 0.0123456789, EXACT, 30, 1, 0.9, 0.2), None)
     calibration = make_calibration(single, _outcome(single, 0.0, True), [wrist])
     assert calibration is not None
-    K = calibration.wrist_cameras[0].K
-    assert (K[0][0], K[1][1], K[0][2]) == pytest.approx((297.0, 297.0, MODEL.K[0][2]))
+    found = calibration.wrist_cameras[0]
+    assert (found.K[0][0], found.K[1][1], found.K[0][2]) == pytest.approx((297.0, 297.0, MODEL.K[0][2]))
+    assert (found.distortion, found.k1_95) == ((0.03, 0.0, 0.0, 0.0), 0.012346)
+    assert CameraStart(MODEL, True, True).fitted_model(0.03, 0.0) == MODEL
 
 
 def test_a_wrist_camera_is_written_if_all_fixed_cameras_are_refused(station: RigConfig, tmp_path: Path) -> None:
     refused = CameraOutcome("top", CameraStart(MODEL, True, True), "it sees no arm")
     outcome = StationOutcome((refused,), (), (), (), None, None)
-    fit = WristFit("wrist", 0, np.eye(4), 0.0, EXACT, 30, 1, 0.9, 0.2)
-    found = make_calibration(station, outcome, [WristOutcome("wrist", MODEL, fit, None)])
+    fit = WristFit("wrist", 0, np.eye(4), MODEL, None, EXACT, 30, 1, 0.9, 0.2)
+    found = make_calibration(station, outcome, [WristOutcome("wrist", fit, None)])
     assert found is not None
     assert (found.cameras, [one.name for one in found.wrist_cameras]) == ((), ["wrist"])
     with pytest.raises(UsageError, match="only wrist cameras"):
@@ -197,7 +201,7 @@ def test_a_wrist_camera_is_written_if_all_fixed_cameras_are_refused(station: Rig
     widths = {arm.name == found.reference: (arm.position_95_mm, arm.rotation_95_deg) for arm in found.arms}
     assert widths[True] == ((0, 0, 0), (0, 0, 0))
     assert not is_base_measured(*widths[False])
-    assert make_calibration(station, outcome, [WristOutcome("wrist", MODEL, fit, "uncertain")]) is None
+    assert make_calibration(station, outcome, [WristOutcome("wrist", fit, "uncertain")]) is None
 
 
 def test_the_turn_of_the_base_body_leaves_the_links_in_place(station: RigConfig, tmp_path: Path) -> None:
@@ -227,7 +231,7 @@ def test_the_page_has_wrist_cameras_offsets_by_joint_and_refusals(
     arms = tuple(arm.model_copy(update=turned) for arm in calibration.arms)
     calibration = calibration.model_copy(update={"arms": arms})
     refused = CameraOutcome("back", CameraStart(MODEL, True, True), "it sees no arm")
-    wrist = WristOutcome("left_wrist", MODEL, None, "too few pictures")
+    wrist = WristOutcome("left_wrist", None, "too few pictures")
     page = write_page(station, StationOutcome((refused,), (), (), (), None, None), calibration, [wrist])
     (tmp_path / "page.html").write_text(page)
     text = re.sub(r"\s+", " ", re.sub("<[^>]+>", " ", page)).replace("\N{NO-BREAK SPACE}", " ")

@@ -12,13 +12,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from yamsim_cli.calibration.calibrate_run import (
-    CameraStart,
-    StationCalibrator,
-    _converged_fit,
-    guessed_k1,
-    offset_refusal,
-)
+from yamsim_cli.calibration.calibrate_run import StationCalibrator, _converged_fit, offset_refusal
+from yamsim_cli.calibration.camera_start import CameraPrior, CameraStart
 from yamsim_cli.calibration.chosen_frames import ChosenFrame
 from yamsim_cli.calibration.episode_pictures import EpisodePictures
 from yamsim_cli.calibration.station_fit import (
@@ -26,16 +21,13 @@ from yamsim_cli.calibration.station_fit import (
     FOCAL,
     LENS,
     MOVING,
-    CameraPrior,
     FitPriors,
     FittedCameraView,
     Layout,
     StationProblem,
-    fitted_k1,
     start_state,
 )
 from yamsim_cli.calibration.uncertainty import _with_joint2_error, focal_contradiction
-from yamsim_cli.calibration.wrist_fit import _WristProblem
 from yamsim_cli.camera_effects.lens_distortion import project_points, viewing_ray_grid
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rendering import RenderConfig
@@ -132,7 +124,7 @@ def test_a_distortion_belongs_to_its_focal_length() -> None:
     true = CameraModel.from_focal_length(640, 480, 390.0)
     start = CameraStart(CameraModel.from_focal_length(640, 480, 300.0), False, False)
     log_focal = math.log(1.3)
-    guessed = start.with_k1(guessed_k1(0.08, log_focal))
+    guessed = start.undistorted_by(0.08, log_focal)
     pixels = [[20.0, 30.0], [320.0, 10.0], [600.0, 400.0]]
     focal = [
         project_points(replace(model, distortion=(k1, 0.0, 0.0, 0.0)), np.column_stack([rays, np.ones(3)]))
@@ -140,18 +132,10 @@ def test_a_distortion_belongs_to_its_focal_length() -> None:
         for rays in [(np.array(pixels) - [319.5, 239.5]) / model.K[0][0]]
     ]
     np.testing.assert_allclose(focal[0], focal[1], atol=1e-9)
-    assert fitted_k1(guessed.k1, 0.0, log_focal) == pytest.approx(0.08)
-    assert fitted_k1(guessed.k1, 0.01, log_focal) == pytest.approx(0.09)
-
-
-def test_intervals_of_a_wrist_camera_grow_with_a_far_move_of_its_focal_length() -> None:
-    problem = cast(Any, SimpleNamespace(_focal_sigma=0.003))
-    T = pose((0.0, 0.1, 0.2))
-    widths = [
-        float(_WristProblem.interval(problem, T, move, np.eye(10)).position.max()) for move in (0.0, -0.005, 0.0118)
-    ]
-    assert widths[1] == widths[0]
-    assert widths[2] == pytest.approx(2.0 * widths[0], rel=0.01)
+    assert guessed.fitted_model(0.0, log_focal).distortion[0] == pytest.approx(0.08)
+    fitted = guessed.fitted_model(0.01, log_focal)
+    assert (fitted.distortion[0], fitted.K[0][0]) == (pytest.approx(0.09), pytest.approx(390.0))
+    assert guessed.undistorted_by(9.0, 0.0).k1 == 0.2
 
 
 def test_the_fit_finds_a_distortion_that_remains_in_the_pictures(locations: Locations) -> None:

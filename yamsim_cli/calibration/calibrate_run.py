@@ -20,12 +20,13 @@ from ..core.geometry.se3 import Array, invert_pose
 from ..core.progress import Progress
 from ..photos.overlay.body_views import BodyRenderer
 from .calibration_file import Calibration
+from .camera_start import CameraStart
 from .camera_views import PreparedCamera, prepare_camera, with_clean_backgrounds
 from .chosen_frames import ChosenFrame
 from .episode_pictures import EpisodePictures
 from .exchanges import WristCameraMoves, exchange_arms, has_two_equal_arms, wrist_camera_fault
 from .pose_search import Hypothesis, mask_overlap, search_poses
-from .station_fit import CameraPrior, FitPriors, FittedCameraView, StationFit, StationProblem, StationState, start_state
+from .station_fit import FitPriors, FittedCameraView, StationFit, StationProblem, StationState, start_state
 from .uncertainty import StationIntervals, estimate_intervals
 from .wrist_fit import WristOutcome, estimate_wrist_camera
 
@@ -44,9 +45,6 @@ _RIVAL = 0.04  # a second pose whose share of found edges is less by this or les
 _MAX_OFFSET = math.radians(3.5)  # rad of a joint, 3.5 standard deviations of the assumed ones; a wrong gripper gave 4.4
 _FOCAL_GUESS = 0.9  # of the longer side: first guess of an unknown focal length
 _FOCAL_SCALES = (0.7, 0.9, 1.15, 1.5)  # tried factors of that guess
-_FOCAL_SIGMA = 0.4  # of the logarithm of an unknown focal length
-_LENS_SIGMA = 0.05  # of an unknown distortion's k1; lenses of 60 to 100 degrees have up to 0.1
-_MAX_K1 = 0.2  # four times this: a first fit to a wrong pose may give values with which no picture can be undistorted
 _SHARED_REACHES = (5.0, 3.5, 2.5, 2.5, 2.5, 2.5)  # grains, rounds of the fit of all cameras together
 
 
@@ -74,35 +72,6 @@ class CalibrationRequest:
     def with_near(self, near: Calibration | None) -> CalibrationRequest:
         """Return the request with an earlier calibration."""
         return replace(self, near=near)
-
-
-@dataclass(frozen=True)
-class CameraStart:
-    """The intrinsics of a camera with which a fit starts.
-
-    Attributes:
-        is_focal_known: whether `model` has the given or recorded focal length, not a guess.
-        is_lens_known: whether the distortion was given. If not, the fit of a fixed camera estimates k1.
-    """
-
-    model: CameraModel
-    is_focal_known: bool
-    is_lens_known: bool
-
-    @property
-    def prior(self) -> CameraPrior:
-        """What is known before the fit."""
-        focal = self.model.focal_sigma if self.is_focal_known else _FOCAL_SIGMA
-        return CameraPrior(focal) if self.is_lens_known else CameraPrior(focal, _LENS_SIGMA, self.k1)
-
-    @property
-    def k1(self) -> float:
-        """First coefficient of the distortion."""
-        return self.model.distortion[0] if self.model.distortion else 0.0
-
-    def with_k1(self, k1: float) -> CameraStart:
-        """Return the camera with an estimated distortion."""
-        return replace(self, model=replace(self.model, distortion=(k1, 0.0, 0.0, 0.0)))
 
 
 @dataclass(frozen=True)
@@ -186,13 +155,12 @@ class StationCalibrator:
         found = []
         for name in self._request.wrist_cameras:
             start = self._camera_start(name)
-            model = start.model
             if not start.is_focal_known:
                 raise UsageError(f"--camera {name}: a wrist camera needs its calibration; give --camera {name}=FILE")
             if fault := faults.get(name):
-                found.append(WristOutcome(name, model, None, fault.removeprefix(f"{name} ")))
+                found.append(WristOutcome(name, None, fault.removeprefix(f"{name} ")))
                 continue
-            found.append(estimate_wrist_camera(name, model, self._rig, self._episodes, self._surroundings, limits))
+            found.append(estimate_wrist_camera(name, start, self._rig, self._episodes, self._surroundings, limits))
         return found
 
     def _with_exchange_told(self, started: _Started) -> _Started:
@@ -228,7 +196,7 @@ class StationCalibrator:
         if pictures.K is not None:
             (a, b, c), (d, e, f), _ = pictures.K.tolist()
             return CameraStart(CameraModel(width, height, ((a, b, c), (d, e, f), (0.0, 0.0, 1.0))), True, False)
-        guess = CameraModel.from_focal_length(width, height, _FOCAL_GUESS * max(width, height), _FOCAL_SIGMA)
+        guess = CameraModel.from_focal_length(width, height, _FOCAL_GUESS * max(width, height))
         return CameraStart(guess, False, False)
 
     def _prepare(self, name: str, model: CameraModel) -> PreparedCamera:
@@ -315,8 +283,7 @@ class StationCalibrator:
         state = fits[0].state
         if not start.is_lens_known:
             # The fit's distortion is only right near the pictures' distortion, so they are undistorted first.
-            k1 = start.k1 + guessed_k1(state.lenses[0], state.log_focal[0])
-            start = start.with_k1(float(np.clip(k1, -_MAX_K1, _MAX_K1)))
+            start = start.undistorted_by(state.lenses[0], state.log_focal[0])
             prepared, state = self._prepare(name, start.model), replace(state, lenses=(0.0,))
         prepared = with_clean_backgrounds(prepared, state, 0, self._episodes)
         problem = self._problem([prepared.view], [start])
@@ -440,11 +407,6 @@ def _reaches_border(mask: NDArray[np.bool_]) -> bool:
     """Return whether a mask (height, width) has pixels near a side."""
     k = _BORDER_PX
     return bool(mask[:k].any() or mask[-k:].any() or mask[:, :k].any() or mask[:, -k:].any())
-
-
-def guessed_k1(remaining: float, log_focal: float) -> float:
-    """Return a k1 found at a fitted focal length for the focal length before the fit, to which the angles belong."""
-    return remaining / math.exp(2 * log_focal)
 
 
 def found_share(fit: StationFit, camera: int | None = None) -> float:

@@ -31,6 +31,8 @@ class _CameraOnBody(Config):
         name: of its pictures in the episodes.
         position, quat: pose of the camera's OpenCV frame (x right, y down, z forward) on the body, m.
         width, height, K, distortion: as in a camera file, px.
+        k1_95: half width of the 95 % interval of the first coefficient of `distortion`, if the fit estimated it; the
+            others are then 0.
         position_95_mm, rotation_95_deg: half widths of 95 % intervals along and about the body's axes.
         outline_px: median distance of the rendered outlines to the pictures' edges.
     """
@@ -42,6 +44,7 @@ class _CameraOnBody(Config):
     height: int
     K: tuple[Row, Row, Row]
     distortion: tuple[float, ...] = ()
+    k1_95: float | None = Field(default=None, ge=0)
     position_95_mm: Numbers3
     rotation_95_deg: Numbers3
     outline_px: float = Field(ge=0)
@@ -54,15 +57,12 @@ class CalibratedCamera(_CameraOnBody):
         focal: `given`, and then moved by the fit within its error, or `estimated` without a prior value.
         focal_95_percent, delay_95_ms: half widths of 95 % intervals. The interval of a given focal length is from its
             file, or as wide as the fit moved the focal length, if that is more.
-        k1_95: half width of the 95 % interval of the first coefficient of `distortion`, if the fit estimated it; the
-            others are then 0.
         delay_ms: pictures show the arms as they were this much before their time stamps.
         frames: pictures that the fit used.
     """
 
     focal: str = Field(pattern="^(given|estimated)$")
     focal_95_percent: float = Field(ge=0)
-    k1_95: float | None = Field(default=None, ge=0)
     delay_ms: float
     delay_95_ms: float = Field(ge=0)
     frames: int = Field(ge=0)

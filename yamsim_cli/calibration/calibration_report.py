@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +39,7 @@ from .calibration_file import (
     calibration_text,
 )
 from .exchanges import WristCameraMoves, wrist_camera_fault
-from .station_fit import FitPriors, StationFit, fitted_k1, rig_bases
+from .station_fit import FitPriors, StationFit, rig_bases
 from .uncertainty import PoseInterval, StationIntervals, is_measured
 from .wrist_fit import WristFit, WristOutcome
 
@@ -50,6 +49,7 @@ _OPACITY = 0.35  # of the arms over a picture, 0..1
 _JPEG_QUALITY = 85  # 0..100
 _PAGE_PX = 460  # width of a picture on the page
 _UNKNOWN = "\N{EM DASH}"
+_K1_HEAD = "k1, if estimated"  # heading of the distortion
 _FIGURES_TEXT = (
     "\N{PLUS-MINUS SIGN} is the half width of a 95 % interval. The outline is the median distance of the rendered "
     "arms' outlines to the pictures' edges."
@@ -96,23 +96,23 @@ def make_calibration(
         cameras=cameras,
         arms=arms,
         wrist_cameras=tuple(
-            _calibrated_wrist_camera(rig, one.model, one.fit) for one in wrists if one.fit and one.refusal is None
+            _calibrated_wrist_camera(rig, one.fit) for one in wrists if one.fit and one.refusal is None
         ),
     )
 
 
-def _model_and_pose(model: CameraModel, T: Array, interval: PoseInterval) -> dict[str, Any]:
-    """Return the keys that fixed and wrist cameras share: the lens, the pose (4, 4) and its intervals."""
+def _model_and_pose(model: CameraModel, T: Array, interval: PoseInterval, k1_95: float | None) -> dict[str, Any]:
+    """Return the keys that fixed and wrist cameras share: the lens, the pose (4, 4) and their intervals."""
     lens = {"width": model.width, "height": model.height, "K": model.K, "distortion": model.distortion}
+    lens["k1_95"] = None if k1_95 is None else round(k1_95, 6)
     return {"position": _numbers(T[:3, 3]), "quat": _quat(T), **lens, **_widths(interval)}
 
 
-def _calibrated_wrist_camera(rig: RigConfig, model: CameraModel, fit: WristFit) -> CalibratedWristCamera:
-    model = replace(model, K=_with_focal_scale(model, math.exp(fit.log_focal)))
+def _calibrated_wrist_camera(rig: RigConfig, fit: WristFit) -> CalibratedWristCamera:
     return CalibratedWristCamera(
         name=fit.name,
         arm=rig.arms[fit.arm].name,
-        **_model_and_pose(model, fit.T_cam_in_flange, fit.interval),
+        **_model_and_pose(fit.model, fit.T_cam_in_flange, fit.interval, fit.k1_95),
         pictures=fit.pictures,
         outline_px=fit.outline_px,
     )
@@ -121,29 +121,21 @@ def _calibrated_wrist_camera(rig: RigConfig, model: CameraModel, fit: WristFit) 
 def _calibrated_camera(
     outcome: CameraOutcome, number: int, fit: StationFit, intervals: StationIntervals
 ) -> CalibratedCamera:
-    T, start = invert_pose(fit.state.T_base_in_cam[number]), outcome.start
-    if not start.is_lens_known:
-        start = start.with_k1(fitted_k1(start.k1, fit.state.lenses[number], fit.state.log_focal[number]))
+    T, start, log_focal = invert_pose(fit.state.T_base_in_cam[number]), outcome.start, fit.state.log_focal[number]
     # The pose belongs to the fitted focal length, also where the fit moved a given one within its error.
-    model = replace(start.model, K=_with_focal_scale(start.model, math.exp(fit.state.log_focal[number])))
-    moved = abs(fit.state.log_focal[number])
-    focal_95 = max(Z95 * model.focal_sigma, moved) if start.is_focal_known else intervals.log_focal[number]
+    model = start.fitted_model(fit.state.lenses[number], log_focal)
+    k1_95 = None if start.is_lens_known else float(intervals.lenses[number])
+    focal_95 = max(Z95 * model.focal_sigma, abs(log_focal)) if start.is_focal_known else intervals.log_focal[number]
     return CalibratedCamera(
         name=outcome.name,
-        **_model_and_pose(model, T, intervals.cameras[number]),
+        **_model_and_pose(model, T, intervals.cameras[number], k1_95),
         focal="given" if start.is_focal_known else "estimated",
         focal_95_percent=100 * focal_95,
-        k1_95=None if start.is_lens_known else float(round(intervals.lenses[number], 6)),
         delay_ms=1000 * fit.state.delays[number],
         delay_95_ms=1000 * intervals.delays[number],
         frames=int(outcome.figures["frames"]),
         outline_px=outline_px(fit, number),
     )
-
-
-def _with_focal_scale(model: CameraModel, scale: float) -> tuple[Numbers3, Numbers3, Numbers3]:
-    (fx, _, cx), (_, fy, cy), last = model.K
-    return (fx * scale, 0.0, cx), (0.0, fy * scale, cy), last
 
 
 def _calibrated_arm(name: str, number: int, fit: StationFit, intervals: StationIntervals) -> CalibratedArm:
@@ -334,20 +326,27 @@ def _cameras_section(calibration: Calibration) -> Markup | None:
             _with_interval(one.K[0][0], one.K[0][0] * one.focal_95_percent / 100, 1),
             _with_interval(one.delay_ms, one.delay_95_ms, 0),
             f"{one.outline_px:.2f}",
-            _UNKNOWN if one.k1_95 is None else _with_interval(one.distortion[0], one.k1_95, 3),
+            _k1_cell(one),
             str(one.frames),
         ]
         for one in calibration.cameras
     ]
     place = f"position in the base of {calibration.reference}, mm"
-    lens = "k1, if estimated"
-    heads = ("camera", place, "turn, degrees", "focal length, px", "delay, ms", "outline, px", lens, "pictures")
+    heads = ("camera", place, "turn, degrees", "focal length, px", "delay, ms", "outline, px", _K1_HEAD, "pictures")
     return html_section("Fixed cameras", html_tag("p", _FIGURES_TEXT), html_table(heads, cells)) if cells else None
 
 
 def _wrist_cameras_section(calibration: Calibration) -> Markup | None:
     cells = [
-        [one.name, one.arm, *_pose_cells(one), f"{one.K[0][0]:.1f}", f"{one.outline_px:.2f}", str(one.pictures)]
+        [
+            one.name,
+            one.arm,
+            *_pose_cells(one),
+            f"{one.K[0][0]:.1f}",
+            f"{one.outline_px:.2f}",
+            _k1_cell(one),
+            str(one.pictures),
+        ]
         for one in calibration.wrist_cameras
     ]
     heads = (
@@ -357,9 +356,14 @@ def _wrist_cameras_section(calibration: Calibration) -> Markup | None:
         "turn, degrees",
         "focal length, px",
         "outline, px",
+        _K1_HEAD,
         "pictures",
     )
     return html_section("Wrist cameras", html_table(heads, cells)) if cells else None
+
+
+def _k1_cell(camera: CalibratedCamera | CalibratedWristCamera) -> str:
+    return _UNKNOWN if camera.k1_95 is None else _with_interval(camera.distortion[0], camera.k1_95, 3)
 
 
 def _arms_section(calibration: Calibration) -> Markup:

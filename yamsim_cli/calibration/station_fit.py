@@ -25,6 +25,7 @@ from ..photos.edge_alignment import (
     points_in_camera,
 )
 from ..photos.overlay.body_views import BodyPicture, BodyRenderer, JointAxes
+from .camera_start import CameraPrior, fitted_k1
 from .chosen_frames import CHANGE_BLUR, ChosenFrame
 from .episode_pictures import EpisodePictures
 
@@ -46,22 +47,6 @@ _MIN_LINE = 10  # outline points; a shorter outline is not used
 # to the right and down. They are the same in all pictures. Light, shadows and simplified meshes cause them.
 FOCAL, DELAY, MARGIN, LENS, BIASES = 6, 7, 8, 9, 10
 _BIASES = 3  # of each body
-
-
-@dataclass(frozen=True)
-class CameraPrior:
-    """What is known of a camera before the fit.
-
-    Attributes:
-        focal: standard deviation of the logarithm of the focal length.
-        lens: standard deviation of the distortion k1, whose mean is 0; 0 for a known distortion.
-        removed_k1: estimated k1, for the focal length before the fit, that was removed from the pictures. A known
-            distortion does not count.
-    """
-
-    focal: float
-    lens: float = 0.0
-    removed_k1: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -419,9 +404,7 @@ class StationProblem:
         place = self.layout.camera(camera)
         own = J[:, place]
         own[:, :3], own[:, 3:6] = np.cross(points - centre, across), across
-        from_middle = outline.pixels - K[:2, 2]
-        own[:, FOCAL] = (from_middle * outline.normals).sum(axis=1)
-        own[:, LENS] = own[:, FOCAL] * ((from_middle / K[[0, 1], [0, 1]]) ** 2).sum(axis=1)
+        own[:, FOCAL], own[:, LENS] = lens_jacobian(outline.pixels, outline.normals, K)
         own[:, MARGIN] = 1.0
         at = BIASES + _BIASES * outline.bodies[:, None] + np.arange(_BIASES)
         np.put_along_axis(own, at, outline.bias_jacobian(), axis=1)
@@ -549,9 +532,11 @@ def _edge_sigmas(rows: Sequence[_FrameRows]) -> dict[tuple[int, int], float]:
     return {key: edge_spread(np.concatenate(own), EDGE_SIGMA * grains[key[0]]) for key, own in parts.items()}
 
 
-def fitted_k1(removed: float, remaining: float, log_focal: float) -> float:
-    """Return k1 for the fitted focal length: what was removed from the pictures, and what remained in them."""
-    return removed * math.exp(2 * log_focal) + remaining
+def lens_jacobian(pixels: Array, normals: Array, K: Array) -> tuple[Array, Array]:
+    """Return how far (px) pixels (n, 2) move along normals with the logarithm of the focal length and with k1, (n,)."""
+    from_middle = pixels - K[:2, 2]
+    focal = (from_middle * normals).sum(axis=1)
+    return focal, focal * ((from_middle / K[[0, 1], [0, 1]]) ** 2).sum(axis=1)
 
 
 def start_state(

@@ -34,9 +34,10 @@ from ..photos.edge_alignment import (
     points_in_camera,
 )
 from ..photos.overlay.body_views import BodyRenderer
+from .camera_start import CameraStart
 from .chosen_frames import spread_choice, weighted_poses
 from .episode_pictures import EpisodePictures
-from .station_fit import EDGE_SIGMA, rendered_edges
+from .station_fit import EDGE_SIGMA, lens_jacobian, rendered_edges
 from .uncertainty import PoseInterval, focal_move, is_pose_measured
 
 _BIN = 0.002  # m of one finger's opening; pictures within count as of the same opening
@@ -53,11 +54,11 @@ _PRIOR_TURN, _PRIOR_SHIFT = math.radians(5.0), 0.02  # rad and m, standard devia
 _BIASES = (0.5, 0.3, 0.3)  # px, standard deviations of shifts that all edges share: outwards, to the right and down
 _INFLATION = 3.5  # of intervals; without it, the errors of a planted camera exceeded them by up to 3.4 times
 _MIN_FOUND = 0.6  # share of outline points with an edge within the last reach
-_MIN_FOCAL_SIGMA = 1e-6  # of the logarithm of an exactly known focal length
+_HELD = 1e-6  # least standard deviation of the logarithm of the focal length and of k1; a known value stays as it is
 # Share of outline points with an edge at a single opening, from which nothing hides the outline. In two planted
 # handovers, openings without an object had 0.92 to 0.97, others 0.50 to 0.87.
 _CLEAR_FOUND = 0.9
-_FOCAL = 6  # place of the focal length among the parameters, after turn and shift
+_FOCAL, _LENS, _SIZE = 6, 7, 11  # places among the parameters, after turn and shift, and their number
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,8 @@ class WristFit:
 
     Attributes:
         arm: number of the arm.
-        log_focal: logarithm of the focal length over the given one. The pose belongs to it.
+        model: the camera with the fitted focal length and distortion, to which the pose belongs.
+        k1_95: half width of the 95 % interval of its distortion k1; None for a given distortion.
         interval: half widths of the 95 % intervals along and about the flange's axes.
         pictures, openings: pictures that were used, and the number of different openings.
         found_share: share of the outline's points with an edge.
@@ -76,7 +78,8 @@ class WristFit:
     name: str
     arm: int
     T_cam_in_flange: Array
-    log_focal: float
+    model: CameraModel
+    k1_95: float | None
     interval: PoseInterval
     pictures: int
     openings: int
@@ -97,7 +100,6 @@ class WristOutcome:
     """Result of the pictures of a wrist camera: a fit, and why it is refused, or None for a certain pose."""
 
     name: str
-    model: CameraModel
     fit: WristFit | None
     refusal: str | None
 
@@ -109,7 +111,7 @@ def is_wrist_camera_measured(position_95_mm: Sequence[float], rotation_95_deg: S
 
 def estimate_wrist_camera(
     name: str,
-    model: CameraModel,
+    start: CameraStart,
     rig: RigConfig,
     episodes: Sequence[EpisodePictures],
     surroundings: tuple[SceneConfig, RenderConfig, Locations],
@@ -118,11 +120,21 @@ def estimate_wrist_camera(
     """Return the pose of a wrist camera of the rig; `limits` (m, rad) of its intervals' half widths, else refused."""
     arm = [one.wrist_camera_name for one in rig.arms].index(name)
     scene, quality, locations = surroundings
-    with BodyRenderer(rig, scene, quality, model, locations) as renderer:
-        try:
-            fit = fit_wrist_camera(name, arm, rig, episodes, renderer, model.focal_sigma)
-        except DatasetError as error:
-            return WristOutcome(name, model, None, str(error).removeprefix(f"camera {name!r}: "))
+    T_rig = invert_pose(wrist_camera_pose(rig.arms[arm]))
+
+    def solve(start: CameraStart, T_start: Array, starts: int) -> _Solution:
+        with BodyRenderer(rig, scene, quality, start.model, locations) as renderer:
+            return _solve(name, arm, rig, episodes, renderer, start, T_start, starts)
+
+    try:
+        found = solve(start, T_rig, _STARTS)
+        if not start.is_lens_known:
+            # The fit's distortion is only right near the pictures' distortion, so they are undistorted first.
+            start = start.undistorted_by(float(found.state[_LENS]), float(found.state[_FOCAL]))
+            found = solve(start, found.T_flange_in_cam, 1)
+    except DatasetError as error:
+        return WristOutcome(name, None, str(error))
+    fit = _wrist_fit(name, arm, start, found)
     shift, turn = float(fit.interval.position.max()), float(fit.interval.turn.max())
     refusal = None
     if shift > limits[0] or turn > limits[1]:
@@ -131,54 +143,79 @@ def estimate_wrist_camera(
             f"{1000 * limits[0]:g} mm and {math.degrees(limits[1]):g} degrees (--max-shift, --max-turn): give larger "
             "pictures, or more episodes with different openings of the gripper"
         )
-    return WristOutcome(name, model, fit, refusal)
+    return WristOutcome(name, fit, refusal)
 
 
-def fit_wrist_camera(
+@dataclass(frozen=True)
+class _Solution:
+    """The values of a fit: the flange's pose (4, 4) in the camera, and the other parameters in `state` (_SIZE,)."""
+
+    T_flange_in_cam: Array
+    state: Array
+    rows: _Rows
+    means: Sequence[_MeanPicture]
+
+
+def _solve(
     name: str,
     arm: int,
     rig: RigConfig,
     episodes: Sequence[EpisodePictures],
     renderer: BodyRenderer,
-    focal_sigma: float,
-) -> WristFit:
-    """Return the fit of a wrist camera that starts at the rig's pose.
+    start: CameraStart,
+    T_start: Array,
+    starts: int,
+) -> _Solution:
+    """Return the best fit from `starts` poses at and near the flange's pose `T_start` in the camera.
 
     Raises:
         DatasetError: too few pictures, or the gripper's outline does not meet the pictures' edges.
     """
     means = _mean_pictures(name, arm, episodes, renderer)
     if not means:
-        raise DatasetError(
-            f"camera {name!r}: no opening of the gripper is in {_MIN_PICTURES} pictures or more; give more episodes"
-        )
-    T_rig = invert_pose(wrist_camera_pose(rig.arms[arm]))
-    problem = _WristProblem(arm, rig, renderer, means, focal_sigma)
-    T_flange_in_cam, log_focal, rows = problem.search(T_rig)
-    if rows.found_share < _MIN_FOUND and len(means) > 1:
+        raise DatasetError(f"no opening of the gripper is in {_MIN_PICTURES} pictures or more; give more episodes")
+    found = _WristProblem(arm, rig, renderer, means, start).search(T_start, starts)
+    if found.rows.found_share < _MIN_FOUND and len(means) > 1:
         # An object between the fingers hides the outline at the openings at which they hold it. So take one opening.
-        alone = [_WristProblem(arm, rig, renderer, [one], focal_sigma) for one in means]
-        fits = [one.search(T_rig) for one in alone]
-        best = max(range(len(fits)), key=lambda k: fits[k][2].found_share)
-        if fits[best][2].found_share >= _CLEAR_FOUND:
-            means, problem = [means[best]], alone[best]
-            T_flange_in_cam, log_focal, rows = fits[best]
-    if rows.found_share < _MIN_FOUND:
+        alone = [_WristProblem(arm, rig, renderer, [one], start).search(T_start, starts) for one in means]
+        best = max(alone, key=lambda one: one.rows.found_share)
+        if best.rows.found_share >= _CLEAR_FOUND:
+            found = best
+    if found.rows.found_share < _MIN_FOUND:
         raise DatasetError(
-            f"camera {name!r}: the gripper's outline meets the edges of pictures at {rows.found_share:.0%} of its "
-            f"points, at least {_MIN_FOUND:.0%} are needed: are the gripper and the wrist camera those of the rig, and "
-            "is the camera's calibration correct?"
+            f"the gripper's outline meets the edges of pictures at {found.rows.found_share:.0%} of its points, at "
+            f"least {_MIN_FOUND:.0%} are needed: are the gripper and the wrist camera those of the rig, and is the "
+            "camera's calibration correct?"
         )
+    return found
+
+
+def _wrist_fit(name: str, arm: int, start: CameraStart, found: _Solution) -> WristFit:
+    """Return a fit with its intervals.
+
+    They are wider if the fit moved the focal length beyond its interval, which shows that outlines are wrong by more
+    than the equations say.
+    """
+    log_focal, remaining = float(found.state[_FOCAL]), float(found.state[_LENS])
+    inflation = _INFLATION * max(1.0, focal_move(log_focal, max(start.prior.focal, _HELD)))
+    covariance = inflation**2 * np.linalg.inv(found.rows.normal)
+    T_cam_in_flange = invert_pose(found.T_flange_in_cam)
+    # Seen from the flange, a turn of the flange by w moves the camera by -R w x (camera from flange).
+    R, (x, y, z) = T_cam_in_flange[:3, :3], T_cam_in_flange[:3, 3]
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    by_step = np.block([[-R, np.zeros((3, 3))], [cross @ R, -R]])
+    widths = Z95 * np.sqrt(np.diag(by_step @ covariance[:6, :6] @ by_step.T))
     return WristFit(
         name,
         arm,
-        invert_pose(T_flange_in_cam),
-        log_focal,
-        problem.interval(T_flange_in_cam, log_focal, rows.normal),
-        sum(one.count for one in means),
-        len(means),
-        rows.found_share,
-        rows.median,
+        T_cam_in_flange,
+        start.fitted_model(remaining, log_focal),
+        None if start.is_lens_known else Z95 * math.sqrt(covariance[_LENS, _LENS]),
+        PoseInterval(widths[3:], widths[:3]),
+        sum(one.count for one in found.means),
+        len(found.means),
+        found.rows.found_share,
+        found.rows.median,
     )
 
 
@@ -222,34 +259,31 @@ class _Rows:
 
 
 class _WristProblem:
-    """Equations of turn and shift, the logarithm of the focal length, and the three shared biases."""
-
-    size = 10
+    """Equations of turn and shift, the logarithm of the focal length, the remaining k1, and the three shared biases."""
 
     def __init__(
-        self, arm: int, rig: RigConfig, renderer: BodyRenderer, means: Sequence[_MeanPicture], focal_sigma: float
+        self, arm: int, rig: RigConfig, renderer: BodyRenderer, means: Sequence[_MeanPicture], start: CameraStart
     ) -> None:
-        self._arm, self._rig, self._renderer, self._means = arm, rig, renderer, means
+        self._arm, self._renderer, self._means = arm, renderer, means
         gripper = renderer.moved_by[arm][-1]
         self._gripper = gripper & (renderer.arm_of_body == arm)
-        sigma = np.array([_PRIOR_TURN] * 3 + [_PRIOR_SHIFT] * 3 + [max(focal_sigma, _MIN_FOCAL_SIGMA), *_BIASES])
-        self._focal_sigma = float(sigma[_FOCAL])
-        self._prior = np.diag(sigma**-2.0)
+        known = start.prior
+        lens = max(known.focal, _HELD), max(known.lens, _HELD)
+        sigma = np.array([_PRIOR_TURN] * 3 + [_PRIOR_SHIFT] * 3 + [*lens, *_BIASES])
+        self._prior, self._removed_k1 = np.diag(sigma**-2.0), known.removed_k1
         self._T_prior = invert_pose(wrist_camera_pose(rig.arms[arm]))
 
-    def search(self, T_rig: Array) -> tuple[Array, float, _Rows]:
-        """Return the best pose of the flange in the camera near the rig's, the logarithm of its focal length, and its
-        equations.
-        """
+    def search(self, T_start: Array, starts: int) -> _Solution:
+        """Return the best fit from `starts` poses of the flange in the camera, at and near one (4, 4)."""
         rng = np.random.default_rng(0)
         fits = []
-        for number in range(_STARTS):
+        for number in range(starts):
             step = np.concatenate([rng.normal(0, _START_TURN, 3), rng.normal(0, _START_SHIFT, 3)]) * (number > 0)
-            fits.append(self._refine(self.moved(T_rig, step), np.zeros(self.size), _START_REACHES))
+            fits.append(self._refine(self.moved(T_start, step), np.zeros(_SIZE), _START_REACHES))
         fits.sort(key=lambda one: one[2].cost)
         finished = [self._refine(T, state, _REACHES) for T, state, _ in fits[:_BEST]]
         T, state, rows = min(finished, key=lambda one: one[2].cost)
-        return T, float(state[_FOCAL]), rows
+        return _Solution(T, state, rows, self._means)
 
     def _refine(self, T: Array, state: Array, reaches: Sequence[float]) -> tuple[Array, Array, _Rows]:
         for reach in reaches:
@@ -264,7 +298,9 @@ class _WristProblem:
 
     def _deviation(self, T: Array, state: Array) -> Array:
         turn = rotation_vector(T[:3, :3] @ self._T_prior[:3, :3].T)
-        return np.concatenate([turn, T[:3, 3] - self._T_prior[:3, 3], state[_FOCAL:]])
+        # The removed k1 belongs to the given focal length, which the fit changes too little to matter.
+        removed = np.where(np.arange(_FOCAL, _SIZE) == _LENS, self._removed_k1, 0.0)
+        return np.concatenate([turn, T[:3, 3] - self._T_prior[:3, 3], state[_FOCAL:] + removed])
 
     def linearize(self, T_flange_in_cam: Array, state: Array, reach: float) -> _Rows:
         """Return the equations of a step, weighted robustly, and how many outline points have an edge."""
@@ -302,22 +338,7 @@ class _WristProblem:
         K[[0, 1], [0, 1]] *= math.exp(state[_FOCAL])
         normals = line.normals[use]
         points, across = points_in_camera(line.points[use], normals, depth[use], K)
-        focal = ((line.points[use] - K[:2, 2]) * normals).sum(axis=1)
-        J = np.column_stack([np.cross(points - T[:3, 3], across), across, focal, np.ones(len(points)), normals])
-        return J, seen[use] - J[:, _FOCAL + 1 :] @ state[_FOCAL + 1 :], len(line.points)
-
-    def interval(self, T_flange_in_cam: Array, log_focal: float, normal: Array) -> PoseInterval:
-        """Return the intervals of the camera's pose on the flange.
-
-        They are wider if the fit moved the focal length beyond its interval, which shows that outlines are wrong by
-        more than the equations say.
-        """
-        inflation = _INFLATION * max(1.0, focal_move(log_focal, self._focal_sigma))
-        covariance = inflation**2 * np.linalg.inv(normal)[:6, :6]
-        R, shift = T_flange_in_cam[:3, :3].T, T_flange_in_cam[:3, 3]
-        # Seen from the flange, a turn of the flange by w moves the camera by -R w x (camera from flange).
-        x, y, z = -R @ shift
-        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        by_step = np.block([[-R, np.zeros((3, 3))], [cross @ R, -R]])
-        widths = Z95 * np.sqrt(np.diag(by_step @ covariance @ by_step.T))
-        return PoseInterval(widths[3:], widths[:3])
+        focal, lens = lens_jacobian(line.points[use], normals, K)
+        J = np.column_stack([np.cross(points - T[:3, 3], across), across, focal, lens, np.ones(len(points)), normals])
+        # The gripper is rendered without the remaining distortion and the biases.
+        return J, seen[use] - J[:, _LENS:] @ state[_LENS:], len(line.points)

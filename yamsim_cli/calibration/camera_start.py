@@ -1,0 +1,83 @@
+"""What is known of a camera's lens before a fit, and its distortion after one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..core.geometry.camera import CameraModel
+
+_FOCAL_SIGMA = 0.4  # of the logarithm of an unknown focal length
+_LENS_SIGMA = 0.05  # of an unknown distortion's k1; lenses of 60 to 100 degrees have up to 0.1
+_MAX_K1 = 0.2  # four times this: a first fit to a wrong pose may give values with which no picture can be undistorted
+
+
+@dataclass(frozen=True)
+class CameraPrior:
+    """What is known of a camera before the fit.
+
+    Attributes:
+        focal: standard deviation of the logarithm of the focal length.
+        lens: standard deviation of the distortion k1, whose mean is 0; 0 for a known distortion.
+        removed_k1: estimated k1, for the focal length before the fit, that was removed from the pictures. A known
+            distortion does not count.
+    """
+
+    focal: float
+    lens: float = 0.0
+    removed_k1: float = 0.0
+
+
+@dataclass(frozen=True)
+class CameraStart:
+    """The intrinsics of a camera with which a fit starts.
+
+    Attributes:
+        is_focal_known: whether `model` has the given or recorded focal length, not a guess.
+        is_lens_known: whether the distortion was given. If not, the fit estimates k1.
+    """
+
+    model: CameraModel
+    is_focal_known: bool
+    is_lens_known: bool
+
+    @property
+    def prior(self) -> CameraPrior:
+        """What is known before the fit."""
+        focal = self.model.focal_sigma if self.is_focal_known else _FOCAL_SIGMA
+        return CameraPrior(focal) if self.is_lens_known else CameraPrior(focal, _LENS_SIGMA, self.k1)
+
+    @property
+    def k1(self) -> float:
+        """First coefficient of the distortion."""
+        return self.model.distortion[0] if self.model.distortion else 0.0
+
+    def undistorted_by(self, remaining: float, log_focal: float) -> CameraStart:
+        """Return the camera for another fit, with the distortion that a fit found.
+
+        Args:
+            remaining: k1 that the fit found in the undistorted pictures, for its focal length.
+            log_focal: logarithm of that focal length over the one of `model`, to which `k1` belongs.
+        """
+        k1 = float(np.clip(self.k1 + remaining / math.exp(2 * log_focal), -_MAX_K1, _MAX_K1))
+        return replace(self, model=replace(self.model, distortion=(k1, 0.0, 0.0, 0.0)))
+
+    def fitted_model(self, remaining: float, log_focal: float) -> CameraModel:
+        """Return the camera with the focal length and, unless it was given, the distortion of a fit.
+
+        Args:
+            remaining: k1 that the fit found in the undistorted pictures, for its focal length.
+            log_focal: logarithm of that focal length over the one of `model`.
+        """
+        scale, ((fx, _, cx), (_, fy, cy), last) = math.exp(log_focal), self.model.K
+        model = replace(self.model, K=((fx * scale, 0.0, cx), (0.0, fy * scale, cy), last))
+        if self.is_lens_known:
+            return model
+        return replace(model, distortion=(fitted_k1(self.k1, remaining, log_focal), 0.0, 0.0, 0.0))
+
+
+def fitted_k1(removed: float, remaining: float, log_focal: float) -> float:
+    """Return k1 for the fitted focal length: what was removed from the pictures, and what remained in them."""
+    return removed * math.exp(2 * log_focal) + remaining
