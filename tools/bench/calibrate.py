@@ -100,6 +100,7 @@ def calibration_errors(found: Mapping[str, Any], planted: Planted) -> list[dict[
     rows = []
     for wrist in found["wrist_cameras"]:
         rows += _pose_errors("wrist camera", wrist, planted.T_wrist_in_flange[wrist["name"]])
+        rows += _k1_error("wrist camera's k1, thousandths", wrist, planted.wrist_k1.get(wrist["name"], 0.0))
     return [*_station_errors(found, planted), *rows] if found["cameras"] else rows
 
 
@@ -109,10 +110,8 @@ def _station_errors(found: Mapping[str, Any], planted: Planted) -> list[dict[str
     order = sorted(arms, key=lambda arm: arm["name"] != found["reference"])
     offsets = np.degrees(planted.offsets).reshape(len(arms), 6)
     rows = _pose_errors("camera", camera, planted.T_cam_in_base)
-    if camera["k1_95"] is not None:
-        error = camera["distortion"][0] - planted.k1
-        rows.append(_error("distortion k1, thousandths", 1000 * error, 1000 * camera["k1_95"]))
     rows += [
+        *_k1_error("distortion k1, thousandths", camera, planted.k1),
         _error("focal length, %", 100 * (camera["K"][0][0] / planted.focal - 1), camera["focal_95_percent"]),
         _error("delay, ms", camera["delay_ms"] - 1000 * planted.delay, camera["delay_95_ms"]),
     ]
@@ -123,6 +122,13 @@ def _station_errors(found: Mapping[str, Any], planted: Planted) -> list[dict[str
     if planted.T_arm_in_base is not None:
         rows += _pose_errors("second base", order[1], planted.T_arm_in_base)
     return rows
+
+
+def _k1_error(quantity: str, camera: Mapping[str, Any], truth: float) -> list[dict[str, Any]]:
+    """Return the error of a camera's distortion; empty unless it was estimated."""
+    if camera["k1_95"] is None:
+        return []
+    return [_error(quantity, 1000 * (camera["distortion"][0] - truth), 1000 * camera["k1_95"])]
 
 
 def _pose_errors(what: str, found: Mapping[str, Any], truth: Array) -> list[dict[str, Any]]:
@@ -188,6 +194,7 @@ def main() -> None:
     parser.add_argument("--arms", type=int, choices=(1, 2), default=1)
     parser.add_argument("--wrist", action="store_true", help="wrist cameras too")
     parser.add_argument("--lens", choices=LENSES, default="none", help="distortion that the camera file has or lacks")
+    parser.add_argument("--wrist-lens", action="store_true", help="distortion of wrist cameras that their files lack")
     parser.add_argument("--hand", action="store_true", help="a hand hides part of some pictures")
     parser.add_argument("--h264", action="store_true", help="a video instead of JPEG")
     parser.add_argument("--boards", action="store_true", help="a board beside the arm, and poses by it")

@@ -8,7 +8,7 @@ import math
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +73,9 @@ class StationOptions:
         frames: pictures that the fit uses; Filament renders no others.
         arms: 1 or 2.
         wrist: whether wrist cameras are recorded too, with poses that differ from the rig's.
-        lens: one of `LENSES`: "none" (no distortion), "given" (the camera file states it) or "hidden" (it does not).
+        lens: of the fixed camera, one of `LENSES`: "none" (no distortion), "given" (the camera file states it) or
+            "hidden" (it does not).
+        wrist_lens: whether wrist cameras have a distortion that their files lack.
         hand: whether a hand hides part of some pictures.
         h264: whether pictures were a video, instead of JPEG.
         boards: whether a fiducial board lies beside the arm's base, in pictures and rig; only with one arm.
@@ -89,6 +91,7 @@ class StationOptions:
     arms: int = 1
     wrist: bool = False
     lens: str = "none"
+    wrist_lens: bool = False
     hand: bool = False
     h264: bool = False
     boards: bool = False
@@ -153,6 +156,7 @@ class Planted:
         T_arm_in_base: pose (4, 4) of the right arm's base in the left one's; None with one arm.
         k1: of the distortion.
         T_wrist_in_flange: pose (4, 4) of each wrist camera on its flange.
+        wrist_k1: of each wrist camera's distortion.
     """
 
     T_cam_in_base: Array
@@ -162,6 +166,7 @@ class Planted:
     T_arm_in_base: Array | None
     T_wrist_in_flange: Mapping[str, Array]
     k1: float = 0.0
+    wrist_k1: Mapping[str, float] = field(default_factory=dict)
 
     def save(self, file: Path) -> None:
         """Write the truth as JSON."""
@@ -182,6 +187,7 @@ class Planted:
             None if second is None else np.array(second),
             {name: np.array(T) for name, T in values["T_wrist_in_flange"].items()},
             values.get("k1", 0.0),
+            values.get("wrist_k1", {}),
         )
 
 
@@ -315,11 +321,12 @@ def record_station(seed: int, folder: Path, options: StationOptions) -> Planted:
     delay = float(rng.uniform(0, largest_delay))
     first = load_frame(next((folder / "clean").glob("ep_*/lowdim/*.pkl")).read_bytes())
     matrices = {name: np.array(K, dtype=np.float64) for name, K in first["intrinsics"].items()}
-    lens = _write_cameras(folder, matrices, options, rng)
-    spoil = _Spoiling(options, offsets, delay, lens, rng)
+    lenses = _write_cameras(folder, matrices, options, rng)
+    spoil = _Spoiling(options, offsets, delay, {name: (matrices[name], lens) for name, lens in lenses.items()}, rng)
     spoil.write_episodes(sorted((folder / "clean").glob("ep_*")), folder)
     truth = _truth(rig, first, options, offsets, delay)
-    return replace(truth, k1=lens.distortion[0]) if lens else truth
+    k1 = {name: lens.distortion[0] for name, lens in lenses.items()}
+    return replace(truth, k1=k1.pop(CAMERA, 0.0), wrist_k1=k1)
 
 
 def _truth(rig: RigConfig, first: Mapping[str, Any], options: StationOptions, offsets: Array, delay: float) -> Planted:
@@ -348,21 +355,38 @@ def camera_with_focal_error(K: Array, size_px: tuple[int, int], rng: np.random.G
 
 def _write_cameras(
     folder: Path, matrices: Mapping[str, Array], options: StationOptions, rng: np.random.Generator
-) -> CameraModel | None:
-    """Write the cameras' files, with errors of the focal lengths; return the fixed camera's distorted lens, if any."""
-    width, height = options.size_px
-    lens = None
+) -> dict[str, CameraModel]:
+    """Write the cameras' files, with errors of the focal lengths; return the distorted lenses by camera.
+
+    A wrist camera sees its gripper at the border, so its lens has a focal length with which the recorded pictures
+    contain its own.
+    """
+    lenses = {}
     for name in sorted(matrices, key=lambda one: one != CAMERA):
         camera = camera_with_focal_error(matrices[name], options.size_px, rng)
-        if name == CAMERA and options.lens != "none":
-            k1 = rng.uniform(-MAX_K1, MAX_K1)
-            distortion = (float(k1), float(-k1 / 4), 0.0, 0.0)
-            (a, b, c), (d, e, f), _ = matrices[name].tolist()
-            lens = CameraModel(width, height, ((a, b, c), (d, e, f), (0.0, 0.0, 1.0)), distortion)
-            if options.lens == "given":
-                camera["distortion"] = list(distortion)
+        if options.lens != "none" if name == CAMERA else options.wrist_lens:
+            k1 = float(rng.uniform(-MAX_K1, MAX_K1))
+            scale = 1.0 if name == CAMERA else _focal_scale_inside(matrices[name], k1)
+            lenses[name] = _lens(matrices[name], scale, k1, options.size_px)
+            if name == CAMERA and options.lens == "given":
+                camera["distortion"] = list(lenses[name].distortion)
+            for row in (0, 1):
+                camera["K"][row][row] *= scale
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(camera))
-    return lens
+    return lenses
+
+
+def _lens(K: Array, scale: float, k1: float, size_px: tuple[int, int]) -> CameraModel:
+    """Return a distorted lens with `scale` times the focal lengths of a matrix (3, 3)."""
+    (fx, _, cx), (_, fy, cy), last = K.tolist()
+    matrix = ((scale * fx, 0.0, cx), (0.0, scale * fy, cy), tuple(last))
+    return CameraModel(*size_px, matrix, (k1, -k1 / 4, 0.0, 0.0))
+
+
+def _focal_scale_inside(K: Array, k1: float) -> float:
+    """Return the focal length, as a factor of a matrix's (3, 3), at which a distorted picture lies in its picture."""
+    r2 = float(((K[:2, 2] + 0.5) ** 2 / np.diag(K)[:2] ** 2).sum())  # of a corner
+    return max(1.0, 1.0 / (1.0 + k1 * r2 - k1 / 4 * r2**2))
 
 
 class _Spoiling:
@@ -373,10 +397,10 @@ class _Spoiling:
         options: StationOptions,
         offsets: Array,
         delay: float,
-        lens: CameraModel | None,
+        lenses: Mapping[str, tuple[Array, CameraModel]],
         rng: np.random.Generator,
     ) -> None:
-        self._options, self._offsets, self._delay, self._lens, self._rng = options, offsets, delay, lens, rng
+        self._options, self._offsets, self._delay, self._lenses, self._rng = options, offsets, delay, lenses, rng
 
     def write_episodes(self, clean: Sequence[Path], folder: Path) -> None:
         """Write the joints and pictures of clean episodes into `folder`/episodes."""
@@ -418,8 +442,8 @@ class _Spoiling:
             cv2.imwrite(str(out / f"{file.stem}.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, quality])
 
     def _spoilt(self, image: Image, camera: str) -> Image:
-        if camera == CAMERA and self._lens is not None:
-            image = _through_lens(image, self._lens)
+        if camera in self._lenses:
+            image = _through_lens(image, *self._lenses[camera])
         if self._options.hand and self._rng.random() < HAND_SHARE:
             image = _with_hand(image, self._rng)
         soft = cv2.GaussianBlur(image, (0, 0), BLUR).astype(np.float64)
@@ -427,10 +451,10 @@ class _Spoiling:
         return np.clip(np.round(soft), 0, 255).astype(np.uint8)
 
 
-def _through_lens(image: Image, lens: CameraModel) -> Image:
+def _through_lens(image: Image, K: Array, lens: CameraModel) -> Image:
+    """Return the picture of a lens (height, width, 3) in one without distortion, with the matrix `K` (3, 3)."""
     rays = viewing_ray_grid(lens, np.arange(lens.width), np.arange(lens.height))
-    (fx, _, cx), (_, fy, cy), _ = lens.K
-    across, down = (fx * rays[..., 0] + cx).astype(np.float32), (fy * rays[..., 1] + cy).astype(np.float32)
+    across, down = (rays * np.diag(K)[:2] + K[:2, 2]).astype(np.float32).transpose(2, 0, 1)
     warped = cv2.remap(image, across, down, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(warped, dtype=np.uint8)
 
