@@ -124,7 +124,7 @@ def test_a_distortion_belongs_to_its_focal_length() -> None:
     true = CameraModel.from_focal_length(640, 480, 390.0)
     start = CameraStart(CameraModel.from_focal_length(640, 480, 300.0), False, False)
     log_focal = math.log(1.3)
-    guessed = start.undistorted_by(0.08, log_focal)
+    guessed = start.with_removed_k1(0.08, log_focal)
     pixels = [[20.0, 30.0], [320.0, 10.0], [600.0, 400.0]]
     focal = [
         project_points(replace(model, distortion=(k1, 0.0, 0.0, 0.0)), np.column_stack([rays, np.ones(3)]))
@@ -135,7 +135,28 @@ def test_a_distortion_belongs_to_its_focal_length() -> None:
     assert guessed.fitted_model(0.0, log_focal).distortion[0] == pytest.approx(0.08)
     fitted = guessed.fitted_model(0.01, log_focal)
     assert (fitted.distortion[0], fitted.K[0][0]) == (pytest.approx(0.09), pytest.approx(390.0))
-    assert guessed.undistorted_by(9.0, 0.0).k1 == 0.2
+    assert guessed.with_removed_k1(0.01, log_focal).k1 == pytest.approx(guessed.k1 + 0.01 / 1.3**2)
+
+
+def test_a_removed_distortion_reaches_the_corners_of_the_picture() -> None:
+    for focal in (300.0, 390.0, 800.0):
+        start = CameraStart(CameraModel.from_focal_length(640, 480, focal), True, False)
+        removed = start.with_removed_k1(-9.0, 0.0)
+        assert -0.2 <= removed.k1 < 0
+        corner = viewing_ray_grid(removed.model, np.array([-0.5, 639.5]), np.array([-0.5, 479.5])).reshape(-1, 2)
+        seen = project_points(removed.model, np.column_stack([corner, np.ones(4)]))
+        np.testing.assert_allclose(seen, [[-0.5, -0.5], [639.5, -0.5], [-0.5, 479.5], [639.5, 479.5]], atol=1e-3)
+        assert start.with_removed_k1(9.0, 0.0).k1 == 0.2
+
+
+def test_a_given_distortion_follows_the_fitted_focal_length() -> None:
+    rational = (-0.3, 0.1, 0.002, -0.001, 0.02, 0.1, 0.05, 0.01, 0.003, -0.002, 0.001, 0.004)
+    model = replace(CameraModel.from_focal_length(640, 480, 600.0), distortion=rational)
+    fitted = CameraStart(model, True, True).fitted_model(0.0, math.log(1.05))
+    assert fitted.K[0][0] == pytest.approx(630.0)
+    rays = np.array([[0.3, 0.2, 1.0], [-0.4, 0.3, 1.0], [0.1, -0.35, 1.0]])
+    # The pictures were undistorted with the given lens, and the fit sees them with 1.05 times its focal length.
+    np.testing.assert_allclose(project_points(fitted, rays), project_points(model, rays * [1.05, 1.05, 1.0]), atol=1e-9)
 
 
 def test_the_fit_finds_a_distortion_that_remains_in_the_pictures(locations: Locations) -> None:

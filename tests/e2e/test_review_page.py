@@ -133,6 +133,30 @@ def test_two_episodes_side_by_side(browser: Browser, dataset: Path) -> None:
         wait_until(lambda: browser.run("return document.getElementById('pinned-side').hidden"), 120)
 
 
+def test_nothing_of_an_episode_is_shown_while_the_next_one_loads(browser: Browser, dataset: Path) -> None:
+    with served(dataset) as url:
+        open_page(browser, url)
+        browser.keys("\ue007")  # open the first
+        wait_until(lambda: "frame 0 of 3" in browser.text(), 120)
+        browser.run(
+            "const own = fetch; window.faults = []; window.addEventListener('error', e => faults.push(e.message));"
+            "window.fetch = async (path) => {"
+            " if (path.startsWith('/api/episode/')) await new Promise((go) => { window.answer = go; });"
+            " return own(path); }"
+        )
+        browser.keys("\ue00c\ue014\ue007")  # back, right, open
+        wait_until(lambda: browser.run("return Boolean(window.answer)"), 30)
+        assert browser.run("return document.getElementById('episode-title').textContent") == "Episode 1"
+        assert browser.run("return document.querySelectorAll('#cameras canvas').length") == 0
+        assert browser.run("return ['time', 'facts', 'legend'].map(id => document.getElementById(id).textContent)") == [
+            "", "", "",
+        ]  # fmt: skip
+        browser.run("document.getElementById('timeline').dispatchEvent(new PointerEvent('pointermove', {buttons: 1}));")
+        assert browser.run("return faults") == []
+        browser.run("answer()")
+        wait_until(lambda: "frame 0 of 3" in browser.text(), 120)
+
+
 @pytest.mark.long
 def test_a_scene_that_cannot_be_played_is_told(browser: Browser, dataset: Path) -> None:
     """The stubs have no config that `yamsim replay` can simulate."""

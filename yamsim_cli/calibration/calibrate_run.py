@@ -282,8 +282,8 @@ class StationCalibrator:
         fits.sort(key=found_share, reverse=True)
         state = fits[0].state
         if not start.is_lens_known:
-            # The fit's distortion is only right near the pictures' distortion, so they are undistorted first.
-            start = start.undistorted_by(state.lenses[0], state.log_focal[0])
+            # The fit is linear in k1. So the estimate is removed from the pictures, and what remains is fitted.
+            start = start.with_removed_k1(state.lenses[0], state.log_focal[0])
             prepared, state = self._prepare(name, start.model), replace(state, lenses=(0.0,))
         prepared = with_clean_backgrounds(prepared, state, 0, self._episodes)
         problem = self._problem([prepared.view], [start])

@@ -11,7 +11,13 @@ from ..core.geometry.camera import CameraModel
 
 _FOCAL_SIGMA = 0.4  # of the logarithm of an unknown focal length
 _LENS_SIGMA = 0.05  # of an unknown distortion's k1; lenses of 60 to 100 degrees have up to 0.1
-_MAX_K1 = 0.2  # four times this: a first fit to a wrong pose may give values with which no picture can be undistorted
+_MAX_K1 = 4 * _LENS_SIGMA  # largest k1 to remove: a first fit to a wrong pose may give more
+# Largest -k1 to remove, times the square of the distance of the farthest corner from the axis over the focal length.
+# A distorted lens reaches a corner if this is less than 4 / 27.
+_MAX_BARREL = 0.9 * 4 / 27
+# Powers of the focal length's factor with which OpenCV's coefficients change, so that the lens stays the same: k1, k2,
+# p1, p2, k3 to k6, s1 to s4. The tilt of the sensor, tx and ty, is kept.
+_POWERS = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3, 0, 0)
 
 
 @dataclass(frozen=True)
@@ -20,7 +26,7 @@ class CameraPrior:
 
     Attributes:
         focal: standard deviation of the logarithm of the focal length.
-        lens: standard deviation of the distortion k1, whose mean is 0; 0 for a known distortion.
+        lens: standard deviation of the distortion k1 about 0. A known distortion has 0.
         removed_k1: estimated k1, for the focal length before the fit, that was removed from the pictures. A known
             distortion does not count.
     """
@@ -54,28 +60,36 @@ class CameraStart:
         """First coefficient of the distortion."""
         return self.model.distortion[0] if self.model.distortion else 0.0
 
-    def undistorted_by(self, remaining: float, log_focal: float) -> CameraStart:
-        """Return the camera for another fit, with the distortion that a fit found.
+    def with_removed_k1(self, remaining: float, log_focal: float) -> CameraStart:
+        """Return the start of another fit, from whose pictures the distortion that a fit found is removed.
 
         Args:
             remaining: k1 that the fit found in the undistorted pictures, for its focal length.
             log_focal: logarithm of that focal length over the one of `model`, to which `k1` belongs.
         """
-        k1 = float(np.clip(self.k1 + remaining / math.exp(2 * log_focal), -_MAX_K1, _MAX_K1))
+        K = np.array(self.model.K)
+        corner = np.maximum(K[:2, 2], np.subtract((self.model.width, self.model.height), K[:2, 2])) / np.diag(K)[:2]
+        lowest = max(-_MAX_K1, -_MAX_BARREL / float(corner @ corner))
+        k1 = float(np.clip(self.k1 + remaining / math.exp(2 * log_focal), lowest, _MAX_K1))
         return replace(self, model=replace(self.model, distortion=(k1, 0.0, 0.0, 0.0)))
 
     def fitted_model(self, remaining: float, log_focal: float) -> CameraModel:
-        """Return the camera with the focal length and, unless it was given, the distortion of a fit.
+        """Return the camera with the focal length and the distortion of a fit.
+
+        Also a given distortion changes with the focal length, because its coefficients belong to the given one.
 
         Args:
-            remaining: k1 that the fit found in the undistorted pictures, for its focal length.
+            remaining: k1 that the fit found in the undistorted pictures, for its focal length, unless it was given.
             log_focal: logarithm of that focal length over the one of `model`.
         """
         scale, ((fx, _, cx), (_, fy, cy), last) = math.exp(log_focal), self.model.K
-        model = replace(self.model, K=((fx * scale, 0.0, cx), (0.0, fy * scale, cy), last))
+        K = (fx * scale, 0.0, cx), (0.0, fy * scale, cy), last
         if self.is_lens_known:
-            return model
-        return replace(model, distortion=(fitted_k1(self.k1, remaining, log_focal), 0.0, 0.0, 0.0))
+            given = self.model.distortion
+            coefficients = tuple(value * scale**power for value, power in zip(given, _POWERS, strict=False))
+        else:
+            coefficients = fitted_k1(self.k1, remaining, log_focal), 0.0, 0.0, 0.0
+        return replace(self.model, K=K, distortion=coefficients)
 
 
 def fitted_k1(removed: float, remaining: float, log_focal: float) -> float:

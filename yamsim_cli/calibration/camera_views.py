@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.config.rig import RigConfig
-from ..core.errors import DatasetError
 from ..core.geometry.camera import CameraModel
 from ..core.geometry.se3 import Array, invert_pose
 from ..core.images.image import Image
@@ -73,7 +72,8 @@ def prepare_camera(
         times = episode.cameras[name].times
         behind = background_pictures(episode, name)
         wanted = sorted({*behind, *chosen[number]})
-        flat = dict(zip(wanted, _flat_images(episode, name, wanted, renderer, camera), strict=True))
+        read = [renderer.undistort_photo(one) for one in episode.read_pictures(name, wanted, camera)]
+        flat = dict(zip(wanted, read, strict=True))
         images += [((number, k, float(times[k])), flat[k]) for k in chosen[number]]
         pictures = tuple(BackgroundPicture(number, float(times[k]), flat[k]) for k in behind)
         if is_enough_background(behind):
@@ -119,21 +119,6 @@ def with_clean_backgrounds(
     # Behind bodies that stay near their places, the background is now known too.
     kinds = np.where(view.kinds == UNCLEAR, MOVING, view.kinds).astype(np.uint8)
     return replace(prepared, view=replace(view, frames=tuple(frames), kinds=kinds))
-
-
-def _flat_images(
-    episode: EpisodePictures, name: str, wanted: Sequence[int], renderer: BodyRenderer, camera: CameraModel
-) -> list[Image]:
-    flat = []
-    for k, image in zip(wanted, episode.cameras[name].read(wanted), strict=True):
-        height, width = image.shape[:2]
-        if (width, height) != (camera.width, camera.height):
-            raise DatasetError(
-                f"{episode.name}: {name}, picture {k} has {width} x {height} pixels, and the camera is calibrated for "
-                f"{camera.width} x {camera.height}; give the camera file of this size"
-            )
-        flat.append(renderer.undistort_photo(image))
-    return flat
 
 
 class _BodyPlaces:

@@ -16,6 +16,7 @@ from ..core.dataset.imported_records import is_yamsim_data
 from ..core.dataset.reader import RecordedEpisode, open_all_episodes, open_recorded_episode
 from ..core.errors import DatasetError, UsageError, suggest_similar
 from ..core.files.resources import Locations
+from ..core.geometry.camera import CameraModel
 from ..core.geometry.se3 import Array
 from ..core.images.image import Image
 from ..core.images.image_files import decode_image
@@ -78,6 +79,22 @@ class EpisodePictures:
             wide = (1 - share) * opening[k] + share * opening[k + 1]
             postures.append(ArmPosture(at if offsets is None else at - offsets[arm], float(wide)))
         return tuple(postures)
+
+    def read_pictures(self, name: str, wanted: Sequence[int], camera: CameraModel) -> list[Image]:
+        """Return pictures (height, width, 3) of a camera with the given increasing indices.
+
+        Raises:
+            DatasetError: a picture is damaged, or has another size than the camera's calibration.
+        """
+        images = self.cameras[name].read(wanted)
+        for k, image in zip(wanted, images, strict=True):
+            height, width = image.shape[:2]
+            if (width, height) != (camera.width, camera.height):
+                raise DatasetError(
+                    f"{self.name}: {name}, picture {k} has {width} x {height} pixels, and the camera is calibrated for "
+                    f"{camera.width} x {camera.height}; give the camera file of this size"
+                )
+        return images
 
     @functools.cached_property
     def velocities(self) -> tuple[Array, ...]:

@@ -34,7 +34,7 @@ from ..photos.edge_alignment import (
     points_in_camera,
 )
 from ..photos.overlay.body_views import BodyRenderer
-from .camera_start import CameraStart
+from .camera_start import CameraStart, fitted_k1
 from .chosen_frames import spread_choice, weighted_poses
 from .episode_pictures import EpisodePictures
 from .station_fit import EDGE_SIGMA, lens_jacobian, rendered_edges
@@ -49,12 +49,12 @@ _START_TURN, _START_SHIFT = math.radians(2.5), 0.006  # rad and m, standard devi
 _START_REACHES = (10.0, 6.0, 3.5)  # grains, search distance for edges by round, from each start
 _BEST = 4  # starts whose fit continues
 _REACHES = (3.5, 2.5, 2.5, 2.5, 2.5, 2.5)  # grains, the same for these
-_FAR = 3.0  # grains, distance of an outline point without a nearer edge in the comparison of fits
+_FAR = 3.0  # grains, reach of the last equations, and the distance that counts for a point without an edge
 _PRIOR_TURN, _PRIOR_SHIFT = math.radians(5.0), 0.02  # rad and m, standard deviations of the rig's pose
 _BIASES = (0.5, 0.3, 0.3)  # px, standard deviations of shifts that all edges share: outwards, to the right and down
 _INFLATION = 3.5  # of intervals; without it, the errors of a planted camera exceeded them by up to 3.4 times
-_MIN_FOUND = 0.6  # share of outline points with an edge within the last reach
-_HELD = 1e-6  # least standard deviation of the logarithm of the focal length and of k1; a known value stays as it is
+_MIN_FOUND = 0.6  # share of outline points with an edge within `_FAR`; fewer mean a wrong gripper or pose
+_MIN_SIGMA = 1e-6  # of the logarithm of the focal length and of k1; less makes the equations singular
 # Share of outline points with an edge at a single opening, from which nothing hides the outline. In two planted
 # handovers, openings without an object had 0.92 to 0.97, others 0.50 to 0.87.
 _CLEAR_FOUND = 0.9
@@ -70,7 +70,7 @@ class WristFit:
         model: the camera with the fitted focal length and distortion, to which the pose belongs.
         k1_95: half width of the 95 % interval of its distortion k1; None for a given distortion.
         interval: half widths of the 95 % intervals along and about the flange's axes.
-        pictures, openings: pictures that were used, and the number of different openings.
+        pictures, openings: pictures that were used, and the number of their means, each of an opening in an episode.
         found_share: share of the outline's points with an edge.
         outline_px: median distance of the outline to the edges, px.
     """
@@ -89,6 +89,8 @@ class WristFit:
 
 @dataclass(frozen=True)
 class _MeanPicture:
+    """The mean of `count` pictures of an episode, grey (height, width), and the time of one of them, s."""
+
     grey: NDArray[np.uint8]
     episode: EpisodePictures
     time: float
@@ -117,23 +119,32 @@ def estimate_wrist_camera(
     surroundings: tuple[SceneConfig, RenderConfig, Locations],
     limits: tuple[float, float],
 ) -> WristOutcome:
-    """Return the pose of a wrist camera of the rig; `limits` (m, rad) of its intervals' half widths, else refused."""
+    """Return the pose of a wrist camera of the rig.
+
+    Args:
+        start: its intrinsics.
+        limits: m and rad. A pose whose interval has larger half widths is refused.
+    """
     arm = [one.wrist_camera_name for one in rig.arms].index(name)
     scene, quality, locations = surroundings
-    T_rig = invert_pose(wrist_camera_pose(rig.arms[arm]))
-
-    def solve(start: CameraStart, T_start: Array, starts: int) -> _Solution:
-        with BodyRenderer(rig, scene, quality, start.model, locations) as renderer:
-            return _solve(name, arm, rig, episodes, renderer, start, T_start, starts)
-
     try:
-        found = solve(start, T_rig, _STARTS)
+        means = _mean_pictures(name, arm, episodes, start.model)
+        with BodyRenderer(rig, scene, quality, start.model, locations) as renderer:
+            found = _search(arm, rig, renderer, means, start)
         if not start.is_lens_known:
-            # The fit's distortion is only right near the pictures' distortion, so they are undistorted first.
-            start = start.undistorted_by(float(found.state[_LENS]), float(found.state[_FOCAL]))
-            found = solve(start, found.T_flange_in_cam, 1)
+            # The fit is linear in k1. So the estimate is removed from the pictures, and what remains is fitted.
+            start = start.with_removed_k1(float(found.state[_LENS]), float(found.state[_FOCAL]))
+            with BodyRenderer(rig, scene, quality, start.model, locations) as renderer:
+                found = _WristProblem(arm, rig, renderer, found.means, start).continued(found)
     except DatasetError as error:
         return WristOutcome(name, None, str(error))
+    if found.rows.found_share < _MIN_FOUND:
+        no_edges = (
+            f"the gripper's outline meets the edges of pictures at {found.rows.found_share:.0%} of its points, at "
+            f"least {_MIN_FOUND:.0%} are needed: are the gripper and the wrist camera those of the rig, and is the "
+            "camera's calibration correct?"
+        )
+        return WristOutcome(name, None, no_edges)
     fit = _wrist_fit(name, arm, start, found)
     shift, turn = float(fit.interval.position.max()), float(fit.interval.turn.max())
     refusal = None
@@ -147,8 +158,31 @@ def estimate_wrist_camera(
 
 
 @dataclass(frozen=True)
+class _Rows:
+    """The equations of a step (_SIZE, _SIZE) and (_SIZE,), and how well the outline meets the edges.
+
+    Attributes:
+        found_share: share of outline points with an edge within `_FAR`.
+        median: distance of the outline from the edges, px.
+        cost: mean distance, px, in which points without an edge count with `_FAR`.
+    """
+
+    normal: Array
+    right_hand_side: Array
+    found_share: float
+    median: float
+    cost: float
+
+
+@dataclass(frozen=True)
 class _Solution:
-    """The values of a fit: the flange's pose (4, 4) in the camera, and the other parameters in `state` (_SIZE,)."""
+    """The values of a fit.
+
+    Attributes:
+        T_flange_in_cam: pose (4, 4) of the flange in the camera.
+        state: parameters (_SIZE,) from `_FOCAL` on; the first six are not used.
+        means: the pictures that were fitted.
+    """
 
     T_flange_in_cam: Array
     state: Array
@@ -156,37 +190,17 @@ class _Solution:
     means: Sequence[_MeanPicture]
 
 
-def _solve(
-    name: str,
-    arm: int,
-    rig: RigConfig,
-    episodes: Sequence[EpisodePictures],
-    renderer: BodyRenderer,
-    start: CameraStart,
-    T_start: Array,
-    starts: int,
+def _search(
+    arm: int, rig: RigConfig, renderer: BodyRenderer, means: Sequence[_MeanPicture], start: CameraStart
 ) -> _Solution:
-    """Return the best fit from `starts` poses at and near the flange's pose `T_start` in the camera.
-
-    Raises:
-        DatasetError: too few pictures, or the gripper's outline does not meet the pictures' edges.
-    """
-    means = _mean_pictures(name, arm, episodes, renderer)
-    if not means:
-        raise DatasetError(f"no opening of the gripper is in {_MIN_PICTURES} pictures or more; give more episodes")
-    found = _WristProblem(arm, rig, renderer, means, start).search(T_start, starts)
+    """Return the best fit near the rig's pose: to all mean pictures, or to one in which nothing hides the gripper."""
+    found = _WristProblem(arm, rig, renderer, means, start).search()
     if found.rows.found_share < _MIN_FOUND and len(means) > 1:
         # An object between the fingers hides the outline at the openings at which they hold it. So take one opening.
-        alone = [_WristProblem(arm, rig, renderer, [one], start).search(T_start, starts) for one in means]
+        alone = [_WristProblem(arm, rig, renderer, [one], start).search() for one in means]
         best = max(alone, key=lambda one: one.rows.found_share)
         if best.rows.found_share >= _CLEAR_FOUND:
-            found = best
-    if found.rows.found_share < _MIN_FOUND:
-        raise DatasetError(
-            f"the gripper's outline meets the edges of pictures at {found.rows.found_share:.0%} of its points, at "
-            f"least {_MIN_FOUND:.0%} are needed: are the gripper and the wrist camera those of the rig, and is the "
-            "camera's calibration correct?"
-        )
+            return best
     return found
 
 
@@ -197,32 +211,35 @@ def _wrist_fit(name: str, arm: int, start: CameraStart, found: _Solution) -> Wri
     than the equations say.
     """
     log_focal, remaining = float(found.state[_FOCAL]), float(found.state[_LENS])
-    inflation = _INFLATION * max(1.0, focal_move(log_focal, max(start.prior.focal, _HELD)))
+    inflation = _INFLATION * max(1.0, focal_move(log_focal, max(start.prior.focal, _MIN_SIGMA)))
     covariance = inflation**2 * np.linalg.inv(found.rows.normal)
     T_cam_in_flange = invert_pose(found.T_flange_in_cam)
-    # Seen from the flange, a turn of the flange by w moves the camera by -R w x (camera from flange).
+    # A step (turn w, shift s) of the flange in the camera's axes turns the camera, whose pose on the flange is (R, p),
+    # by -R w and shifts it by p x R w - R s in the flange's axes.
     R, (x, y, z) = T_cam_in_flange[:3, :3], T_cam_in_flange[:3, 3]
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     by_step = np.block([[-R, np.zeros((3, 3))], [cross @ R, -R]])
     widths = Z95 * np.sqrt(np.diag(by_step @ covariance[:6, :6] @ by_step.T))
     return WristFit(
-        name,
-        arm,
-        T_cam_in_flange,
-        start.fitted_model(remaining, log_focal),
-        None if start.is_lens_known else Z95 * math.sqrt(covariance[_LENS, _LENS]),
-        PoseInterval(widths[3:], widths[:3]),
-        sum(one.count for one in found.means),
-        len(found.means),
-        found.rows.found_share,
-        found.rows.median,
+        name=name,
+        arm=arm,
+        T_cam_in_flange=T_cam_in_flange,
+        model=start.fitted_model(remaining, log_focal),
+        k1_95=None if start.is_lens_known else Z95 * math.sqrt(covariance[_LENS, _LENS]),
+        interval=PoseInterval(widths[3:], widths[:3]),
+        pictures=sum(one.count for one in found.means),
+        openings=len(found.means),
+        found_share=found.rows.found_share,
+        outline_px=found.rows.median,
     )
 
 
-def _mean_pictures(
-    name: str, arm: int, episodes: Sequence[EpisodePictures], renderer: BodyRenderer
-) -> list[_MeanPicture]:
-    """Return the mean pictures of the commonest openings, each of different poses of one episode."""
+def _mean_pictures(name: str, arm: int, episodes: Sequence[EpisodePictures], model: CameraModel) -> list[_MeanPicture]:
+    """Return the mean pictures of the commonest openings, each of different poses of one episode.
+
+    Raises:
+        DatasetError: too few pictures, or pictures of another size than the camera's.
+    """
     found = []
     for episode in episodes:
         if name not in episode.cameras:
@@ -238,24 +255,17 @@ def _mean_pictures(
     for _, episode, places in found[:_BINS]:
         times = episode.cameras[name].times[places]
         chosen = [int(places[k]) for k in spread_choice(weighted_poses(episode, times), _PICTURES)]
-        images = [renderer.undistort_photo(one) for one in episode.cameras[name].read(chosen)]
+        images = episode.read_pictures(name, chosen, model)
         middle = float(episode.cameras[name].times[chosen[len(chosen) // 2]])
         means.append(_MeanPicture(_mean_grey(images), episode, middle, len(chosen)))
+    if not means:
+        raise DatasetError(f"no opening of the gripper is in {_MIN_PICTURES} pictures or more; give more episodes")
     return means
 
 
 def _mean_grey(images: Sequence[Image]) -> NDArray[np.uint8]:
     mean = np.mean([cv2.cvtColor(one, cv2.COLOR_RGB2GRAY) for one in images], axis=0)
     return np.asarray(np.round(mean), dtype=np.uint8)
-
-
-@dataclass(frozen=True)
-class _Rows:
-    normal: Array
-    right_hand_side: Array
-    found_share: float
-    median: float
-    cost: float
 
 
 class _WristProblem:
@@ -267,30 +277,35 @@ class _WristProblem:
         self._arm, self._renderer, self._means = arm, renderer, means
         gripper = renderer.moved_by[arm][-1]
         self._gripper = gripper & (renderer.arm_of_body == arm)
+        self._undistorted = [renderer.undistort_photo(one.grey) for one in means]
         known = start.prior
-        lens = max(known.focal, _HELD), max(known.lens, _HELD)
+        lens = max(known.focal, _MIN_SIGMA), max(known.lens, _MIN_SIGMA)
         sigma = np.array([_PRIOR_TURN] * 3 + [_PRIOR_SHIFT] * 3 + [*lens, *_BIASES])
         self._prior, self._removed_k1 = np.diag(sigma**-2.0), known.removed_k1
         self._T_prior = invert_pose(wrist_camera_pose(rig.arms[arm]))
 
-    def search(self, T_start: Array, starts: int) -> _Solution:
-        """Return the best fit from `starts` poses of the flange in the camera, at and near one (4, 4)."""
+    def search(self) -> _Solution:
+        """Return the best fit from many poses at and near the rig's."""
         rng = np.random.default_rng(0)
         fits = []
-        for number in range(starts):
+        for number in range(_STARTS):
             step = np.concatenate([rng.normal(0, _START_TURN, 3), rng.normal(0, _START_SHIFT, 3)]) * (number > 0)
-            fits.append(self._refine(self.moved(T_start, step), np.zeros(_SIZE), _START_REACHES))
-        fits.sort(key=lambda one: one[2].cost)
-        finished = [self._refine(T, state, _REACHES) for T, state, _ in fits[:_BEST]]
-        T, state, rows = min(finished, key=lambda one: one[2].cost)
-        return _Solution(T, state, rows, self._means)
+            fits.append(self._refine(self.moved(self._T_prior, step), np.zeros(_SIZE), _START_REACHES))
+        fits.sort(key=lambda one: one.rows.cost)
+        finished = [self._refine(one.T_flange_in_cam, one.state, _REACHES) for one in fits[:_BEST]]
+        return min(finished, key=lambda one: one.rows.cost)
 
-    def _refine(self, T: Array, state: Array, reaches: Sequence[float]) -> tuple[Array, Array, _Rows]:
+    def continued(self, found: _Solution) -> _Solution:
+        """Return the fit that starts at another's result, whose distortion is removed from these pictures."""
+        state = np.where(np.arange(_SIZE) == _LENS, 0.0, found.state)
+        return self._refine(found.T_flange_in_cam, state, _REACHES)
+
+    def _refine(self, T: Array, state: Array, reaches: Sequence[float]) -> _Solution:
         for reach in reaches:
             rows = self.linearize(T, state, reach)
             step: Array = np.linalg.solve(rows.normal, rows.right_hand_side).astype(np.float64)
             T, state = self.moved(T, step), state + step
-        return T, state, self.linearize(T, state, _FAR)
+        return _Solution(T, state, self.linearize(T, state, _FAR), self._means)
 
     def moved(self, T: Array, step: Array) -> Array:
         """Return the flange's pose after a step that turns about the flange."""
@@ -298,16 +313,18 @@ class _WristProblem:
 
     def _deviation(self, T: Array, state: Array) -> Array:
         turn = rotation_vector(T[:3, :3] @ self._T_prior[:3, :3].T)
-        # The removed k1 belongs to the given focal length, which the fit changes too little to matter.
-        removed = np.where(np.arange(_FOCAL, _SIZE) == _LENS, self._removed_k1, 0.0)
-        return np.concatenate([turn, T[:3, 3] - self._T_prior[:3, 3], state[_FOCAL:] + removed])
+        k1 = fitted_k1(self._removed_k1, float(state[_LENS]), float(state[_FOCAL]))
+        return np.concatenate([turn, T[:3, 3] - self._T_prior[:3, 3], [state[_FOCAL], k1], state[_LENS + 1 :]])
 
     def linearize(self, T_flange_in_cam: Array, state: Array, reach: float) -> _Rows:
         """Return the equations of a step, weighted robustly, and how many outline points have an edge."""
-        parts = [self._mean_rows(one, T_flange_in_cam, state, reach) for one in self._means]
+        parts = [
+            self._mean_rows(one, grey, T_flange_in_cam, state, reach)
+            for one, grey in zip(self._means, self._undistorted, strict=True)
+        ]
         residuals = np.concatenate([own for _, own, _ in parts])
         points = sum(count for _, _, count in parts)
-        grain = grain_px(self._means[0].grey.shape)
+        grain = grain_px(self._undistorted[0].shape)
         sigma = edge_spread(residuals, EDGE_SIGMA * grain)
         normal = self._prior.copy()
         right_hand_side = -self._prior @ self._deviation(T_flange_in_cam, state)
@@ -320,7 +337,9 @@ class _WristProblem:
         near = float(np.minimum(np.abs(residuals), _FAR * grain).mean()) if len(residuals) else _FAR * grain
         return _Rows(normal, right_hand_side, found, median, found * near + (1 - found) * _FAR * grain)
 
-    def _mean_rows(self, one: _MeanPicture, T: Array, state: Array, reach: float) -> tuple[Array, Array, int]:
+    def _mean_rows(
+        self, one: _MeanPicture, grey: NDArray[np.uint8], T: Array, state: Array, reach: float
+    ) -> tuple[Array, Array, int]:
         renderer = self._renderer
         postures = one.episode.postures_at(one.time)
         renderer.set_focal_scale(math.exp(state[_FOCAL]))
@@ -329,7 +348,7 @@ class _WristProblem:
         renderer.set_poses({self._arm: T @ invert_pose(flange)}, postures)
         picture = renderer.body_picture()
         line = mask_outline(self._gripper[picture.bodies], renderer.outside_photo)
-        seen = edge_offsets(one.grey, line, reach).offsets
+        seen = edge_offsets(grey, line, reach).offsets
         seen = seen - rendered_edges(picture, self._gripper, line, 0.0).offsets
         inside = np.round(line.points - 1.5 * line.normals).astype(int)
         depth = picture.depth[inside[:, 1], inside[:, 0]].astype(np.float64)

@@ -55,8 +55,9 @@ class Cameras {
 
   /** Draw the pictures of all cameras at once, and return what could not be read. */
   async draw(frame, isWanted) {
+    const {detail} = this;
     const pictures = await this.load(frame);
-    if (!isWanted()) return "";
+    if (!isWanted() || detail !== this.detail) return "";
     let fault = "";
     pictures.forEach((picture, k) => {
       const pen = this.canvases[k]?.getContext("2d");
@@ -65,7 +66,7 @@ class Cameras {
       if (typeof picture === "string") fault ||= picture;
       else pen.drawImage(picture, 0, 0, pen.canvas.width, pen.canvas.height);
     });
-    for (let k = 1; k <= AHEAD && frame + k < this.detail.frames; k++) this.load(frame + k);
+    for (let k = 1; k <= AHEAD && frame + k < detail.frames; k++) this.load(frame + k);
     return fault;
   }
 }
@@ -81,7 +82,7 @@ export class EpisodeView {
     this.canvas = this.find("timeline");
     this.slider.addEventListener("input", () => { this.pause(); this.seek(Number(this.slider.value)); });
     this.find("play").addEventListener("click", () => this.toggle());
-    const scrub = (event) => { if (event.buttons) { this.pause(); this.seek(this.frameAt(event.offsetX)); } };
+    const scrub = (event) => { if (event.buttons && this.detail) { this.pause(); this.seek(this.frameAt(event.offsetX)); } };
     this.canvas.addEventListener("pointerdown", scrub);
     this.canvas.addEventListener("pointermove", scrub);
     new ResizeObserver(() => this.paint()).observe(this.canvas);
@@ -93,7 +94,7 @@ export class EpisodeView {
     this.detail = null;
     this.wanted = episode;
     this.cameras.clear();
-    this.find("time").textContent = "";
+    for (const id of ["time", "facts", "legend"]) this.find(id).textContent = "";
     const detail = await get(`/api/episode/${episode}`);
     if (this.wanted !== episode) return;
     this.detail = detail;
@@ -120,7 +121,7 @@ export class EpisodeView {
 
   colour(k) { return `hsl(${(k * 47) % 360} 65% 50%)`; }
 
-  /** Keep this episode beside the next one, or stop that if it is kept; return whether one is kept. */
+  /** Pin this episode beside the next one, or unpin it if it is pinned; return whether one is pinned. */
   pin() {
     if (!this.detail) return Boolean(this.pinned.detail);
     const isNew = this.pinned.detail !== this.detail;
@@ -153,22 +154,22 @@ export class EpisodeView {
   toggle() { if (this.playing) this.pause(); else this.play(); }
 
   pause() {
-    this.playing = false;
+    this.playing = null;
     this.find("play").textContent = "Play";
   }
 
   async play() {
     if (!this.detail) return;
-    this.playing = true;
+    const run = this.playing = {};  // tells this run of the loop from a later one
     this.find("play").textContent = "Pause";
     if (this.frame >= this.detail.frames - 1) await this.seek(0);
     const detail = this.detail, began = performance.now(), start = this.frame;
-    while (this.playing && this.detail === detail && this.frame < detail.frames - 1) {
+    while (this.playing === run && this.detail === detail && this.frame < detail.frames - 1) {
       await new Promise(requestAnimationFrame);
       const due = start + Math.floor((performance.now() - began) / 1000 / detail.period_s);
-      if (due > this.frame && this.playing) await this.seek(due);
+      if (due > this.frame && this.playing === run) await this.seek(due);
     }
-    this.pause();
+    if (this.playing === run) this.pause();
   }
 
   frameAt(pixel) { return Math.round((pixel / this.canvas.clientWidth) * (this.detail.frames - 1)); }
