@@ -31,6 +31,10 @@ from .episode_pictures import EpisodePictures
 
 _REACHES = (16.0, 10.0, 7.0, 5.0, 3.5, 2.5, 2.5, 2.5, 2.5, 2.5)  # grains, search distance for edges by round
 EDGE_SIGMA = 0.12  # grains, least standard deviation of an edge's position
+# Standard deviation of edges' positions over that of independent edges: all pictures share errors, such as those of
+# meshes and light. Without it, errors of planted stations exceeded their intervals by up to 1.6 times, and a fit moved
+# a given focal length too far.
+SHARED_ERRORS = 1.8
 _STILL_PICTURES = 3.0  # pictures that count as independent for the outlines of bodies that stand still
 _CONVERGED = 2e-5  # m, movement of the arms in a round, below which the fit ends
 _ARM_REACH = 0.4  # m, from the middle of the arms to their ends, about
@@ -506,7 +510,7 @@ def _weighted(rows: Sequence[_FrameRows], size: int) -> Iterator[FrameEquations]
     sigmas = _edge_sigmas(rows)
     for one in rows:
         sigma = np.array([sigmas[one.camera, body] for body in one.bodies.tolist()])
-        weight = edge_weights(one.residuals, sigma, sigma)
+        weight = edge_weights(one.residuals, sigma, SHARED_ERRORS * sigma)
         # All pictures show the same edges of still bodies, with the same errors.
         weight[one.still] *= min(1.0, _STILL_PICTURES / sum(other.camera == one.camera for other in rows))
         weighted = one.jacobian * weight[:, None]

@@ -11,10 +11,19 @@ from numpy.typing import NDArray
 
 from ..core.geometry.se3 import Array, invert_pose, rotation_vector
 from ..core.statistics import Z95, student_t_quantile_95
-from .station_fit import DELAY, FOCAL, LENS, FitPriors, FittedCameraView, StationFit, StationProblem, StationState
+from .station_fit import (
+    DELAY,
+    FOCAL,
+    LENS,
+    SHARED_ERRORS,
+    FitPriors,
+    FittedCameraView,
+    StationFit,
+    StationProblem,
+    StationState,
+)
 
 _MIN_GROUPS = 8  # groups of pictures; with fewer episodes, each is divided
-_INFLATION = 1.8  # of all intervals; without it, errors of planted stations exceeded them by up to 1.6 times
 # px, an angle of joint 2 times the focal length: standard deviation of what errors of all edges do to its offset,
 # which looks like a tilt of the base. Of six planted stations, three had offsets that were wrong by 0.2 to 0.5 degrees.
 _JOINT2_ERROR = 1.3
@@ -139,7 +148,7 @@ def estimate_intervals(problem: StationProblem, fit: StationFit) -> StationInter
 
 
 def _covariance(fit: StationFit, groups: Sequence[Groups]) -> Array:
-    """Return the covariance (k, k): of the fit's equations and their scatter between groups, inflated."""
+    """Return the covariance (k, k): of the fit's equations, and of their scatter between groups of pictures."""
     information = fit.prior + sum(one.normal for one in fit.equations)
     inverse = np.linalg.inv(information)
     by_group: dict[int, Array] = {}
@@ -153,7 +162,7 @@ def _covariance(fit: StationFit, groups: Sequence[Groups]) -> Array:
         right_hand_sides -= right_hand_sides.mean(axis=0)
         scatter = right_hand_sides.T @ right_hand_sides * count / (count - 1)
         scatter *= (student_t_quantile_95(count - 1) / Z95) ** 2
-    both: Array = _INFLATION**2 * inverse @ (information + scatter) @ inverse
+    both: Array = inverse @ (information + SHARED_ERRORS**2 * scatter) @ inverse
     return both
 
 
