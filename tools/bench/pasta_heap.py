@@ -12,7 +12,7 @@ import argparse
 import itertools
 import math
 import time
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import mujoco
 import numpy as np
@@ -147,8 +147,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3, help="of each measurement")
     parser.add_argument("--only", choices=("heap", "flow"), help="measure only these")
     parser.add_argument("--flat", action="store_true", help="heaps on a base without a rim")
+    parser.add_argument("--friction", type=float, help="of the pieces in heaps, instead of the tasks' 0.35")
     given = parser.parse_args()
-    heaps, cartons = _tasks()
+    heaps, cartons = _tasks(given.friction)
     for name, task in heaps.items() if given.only != "flow" else ():
         for seed in range(given.seeds):
             begin, heap = time.process_time(), measure_heap(task, seed, not given.flat)
@@ -159,10 +160,10 @@ def main() -> None:
         for tilt, towards, seed in itertools.product(_TILTS, (0, 1), range(given.seeds)):
             rate, share = measure_flow(task, seed, tilt, towards)
             where = f"{name}, {tilt:g} degrees towards its {'xy'[towards]} axis, seed {seed}"
-            print(f"{where}: {rate:.0f} g/s, {share:.0%} left", flush=True)
+            print(f"{where}: {'blocked' if share < 0.9 else f'{rate:.0f} g/s'}, {share:.0%} left", flush=True)
 
 
-def _tasks() -> tuple[dict[str, ProgramTask], dict[str, ProgramTask]]:
+def _tasks(friction: float | None) -> tuple[dict[str, ProgramTask], dict[str, ProgramTask]]:
     """Return name -> a task whose pieces fall into the cylinder, and name -> a task with a carton of pieces."""
     base = open_station_session("64x48", images=False)
     heaps, cartons = dict[str, ProgramTask](), dict[str, ProgramTask]()
@@ -170,8 +171,9 @@ def _tasks() -> tuple[dict[str, ProgramTask], dict[str, ProgramTask]]:
     def task(vessel: ObjectConfig, filling: Filling) -> ProgramTask:
         return base.config.task.model_copy(update={"things": {vessel.name: Role(of=(vessel,), filled=filling)}})
 
-    def amount(piece: ObjectConfig) -> Filling:
-        part: Any = piece.collision[0]
+    def amount(piece: ObjectConfig, sliding: float) -> Filling:
+        contact = piece.contact.model_copy(update={"friction": (sliding, *piece.contact.friction[1:])})
+        piece, part = piece.model_copy(update={"contact": contact}), cast("Any", piece.collision[0])
         length = float(np.linalg.norm(np.subtract(part.end, part.start)))
         count = min(_MOST, round(_VOLUME / heap_shape.capsule_volume(length, part.radius)))
         return Filling(of=piece, grams=count * piece.inertia.mass_g, max_pieces=count)
@@ -181,18 +183,16 @@ def _tasks() -> tuple[dict[str, ProgramTask], dict[str, ProgramTask]]:
         blueprint = build_blueprint(scene, derive_seed(0, scene.init_seed, 0))
         ((filled, filling),) = fillings_of(blueprint, base.locations).items()
         vessel = pasta_config_of(next(i for i in blueprint.objects if i.name == filled), blueprint, base.locations)
-        heaps[name] = task(vessel, amount(filling.of))
+        heaps[name] = task(vessel, amount(filling.of, friction or filling.of.contact.friction[0]))
         if kind == "pour_pasta":
             cartons[name] = task(vessel, filling)
     for name in _NOMINAL:
         piece = load_config(ObjectConfig, "objects", name, base.locations)
-        contact = piece.contact.model_copy(update={"friction": filling.of.contact.friction})
-        heaps[name] = task(vessel, amount(piece.model_copy(update={"contact": contact})))
+        heaps[name] = task(vessel, amount(piece, friction or filling.of.contact.friction[0]))
     (carton,), (coarse,) = cartons["full-box"].objects, cartons["full-box"].things.values()
     nominal = heaps[_NOMINAL[0]].things[vessel.name].filled
     assert coarse.filled is not None and nominal is not None
-    own_size = nominal.model_copy(update={"grams": coarse.filled.grams})
-    cartons[f"full-box with {_NOMINAL[0]}"] = task(carton, own_size)
+    cartons[f"full-box, {_NOMINAL[0]}"] = task(carton, nominal.model_copy(update={"grams": coarse.filled.grams}))
     return heaps, cartons
 
 
