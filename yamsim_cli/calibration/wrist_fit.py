@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -131,11 +131,15 @@ def estimate_wrist_camera(
         means = _mean_pictures(name, arm, episodes, start.model)
         with BodyRenderer(rig, scene, quality, start.model, locations) as renderer:
             found = _search(arm, rig, renderer, means, start)
+            if start.is_lens_known:
+                found = _without_hidden(arm, rig, renderer, found, start)
         if not start.is_lens_known:
             # The fit is linear in k1. So the estimate is removed from the pictures, and what remains is fitted.
             start = start.with_removed_k1(float(found.state[_LENS]), float(found.state[_FOCAL]))
+            found = replace(found, state=np.where(np.arange(_SIZE) == _LENS, 0.0, found.state))
             with BodyRenderer(rig, scene, quality, start.model, locations) as renderer:
                 found = _WristProblem(arm, rig, renderer, found.means, start).continued(found)
+                found = _without_hidden(arm, rig, renderer, found, start)
     except DatasetError as error:
         return WristOutcome(name, None, str(error))
     if found.rows.found_share < _MIN_FOUND:
@@ -193,7 +197,7 @@ class _Solution:
 def _search(
     arm: int, rig: RigConfig, renderer: BodyRenderer, means: Sequence[_MeanPicture], start: CameraStart
 ) -> _Solution:
-    """Return the best fit near the rig's pose: to all mean pictures, or to one in which nothing hides the gripper."""
+    """Return the best fit near the rig's pose: to all mean pictures or, if it finds few edges, to a clear one."""
     found = _WristProblem(arm, rig, renderer, means, start).search()
     if found.rows.found_share < _MIN_FOUND and len(means) > 1:
         # An object between the fingers hides the outline at the openings at which they hold it. So take one opening.
@@ -202,6 +206,20 @@ def _search(
         if best.rows.found_share >= _CLEAR_FOUND:
             return best
     return found
+
+
+def _without_hidden(
+    arm: int, rig: RigConfig, renderer: BodyRenderer, found: _Solution, start: CameraStart
+) -> _Solution:
+    """Return the fit without the pictures in which something hides the outline, unless it is hidden in all."""
+    clear = []
+    for one in found.means:
+        rows = _WristProblem(arm, rig, renderer, [one], start).linearize(found.T_flange_in_cam, found.state, _FAR)
+        if rows.found_share >= _CLEAR_FOUND:
+            clear.append(one)
+    if not clear or len(clear) == len(found.means):
+        return found
+    return _WristProblem(arm, rig, renderer, clear, start).continued(found)
 
 
 def _wrist_fit(name: str, arm: int, start: CameraStart, found: _Solution) -> WristFit:
@@ -296,9 +314,8 @@ class _WristProblem:
         return min(finished, key=lambda one: one.rows.cost)
 
     def continued(self, found: _Solution) -> _Solution:
-        """Return the fit that starts at another's result, whose distortion is removed from these pictures."""
-        state = np.where(np.arange(_SIZE) == _LENS, 0.0, found.state)
-        return self._refine(found.T_flange_in_cam, state, _REACHES)
+        """Return the fit that starts at another's result."""
+        return self._refine(found.T_flange_in_cam, found.state, _REACHES)
 
     def _refine(self, T: Array, state: Array, reaches: Sequence[float]) -> _Solution:
         for reach in reaches:
