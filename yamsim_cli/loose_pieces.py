@@ -63,6 +63,12 @@ def stacked_poses(task: ProgramTask, name: str) -> Array:
     start, end, radius = _axis_of(pieces[0], task)
     length = float(np.linalg.norm(end - start)) + 2 * radius
     room = _room_in(vessel, task)
+    length_mm = next(role.filled for role in task.things.values() if vessel in role.of and role.filled).length_mm
+    middle = np.zeros(3)
+    if length_mm is not None:
+        half = min(length_mm / 2000, float(room.half_widths[:, 1].min()))
+        middle[1] = half - room.half_widths[:, 1].min()
+        room.half_widths[:, 1] = half
     # First with rows in the middle, as in earlier recordings. Only if these do not hold all pieces, beside the middle.
     held: list[Array] = []
     for shifted in (False, True):
@@ -84,7 +90,7 @@ def stacked_poses(task: ProgramTask, name: str) -> Array:
     target = np.eye(3)[axis] * (-1.0 if direction[axis] < 0 else 1.0)
     R = rotation_between(direction, target)
     quat = quat_from_rotation(R)
-    return np.array([(*(place - R @ (start + end) / 2), *quat) for place in layouts[axis]])
+    return np.array([(*(place + middle - R @ (start + end) / 2), *quat) for place in layouts[axis]])
 
 
 def piece_count(filling: Filling) -> tuple[int, float]:
