@@ -155,7 +155,9 @@ def _room_in(vessel: ObjectConfig, task: ProgramTask) -> _Room:
         wall, taper = vessel.shape.wall_mm / 1000, vessel.shape.taper_mm / 1000
         x, y, height = (side / 1000 for side in vessel.shape.size_mm)
         inside = np.array([x, y]) / 2 - wall - vessel.shape.lip_mm / 1000
-        return _Room(np.array([wall, height]), np.array([inside - taper, inside]), False)
+        # Bars along the long edges of the floor, which only a dish has.
+        bars = max((part.radius for part in vessel.collision if isinstance(part, Capsule)), default=0.0)
+        return _Room(np.array([wall, height]), np.array([inside - taper - (bars, 0.0), inside]), False)
     if not rings or vessel.preposition != "in":
         raise UsageError(
             f"task {task.name!r}: the {vessel.name} cannot be `filled`; fill an object whose `shape` is a deep vessel "
