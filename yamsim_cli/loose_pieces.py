@@ -63,6 +63,12 @@ def stacked_poses(task: ProgramTask, name: str) -> Array:
     start, end, radius = _axis_of(pieces[0], task)
     length = float(np.linalg.norm(end - start)) + 2 * radius
     room = _room_in(vessel, task)
+    length_mm = next(role.filled for role in task.things.values() if vessel in role.of and role.filled).length_mm
+    middle = np.zeros(3)
+    if length_mm is not None:
+        half = min(length_mm / 2000, float(room.half_widths[:, 1].min()))
+        middle[1] = half - room.half_widths[:, 1].min()
+        room.half_widths[:, 1] = half
     # First with rows in the middle, as in earlier recordings. Only if these do not hold all pieces, beside the middle.
     held: list[Array] = []
     for shifted in (False, True):
@@ -84,7 +90,7 @@ def stacked_poses(task: ProgramTask, name: str) -> Array:
     target = np.eye(3)[axis] * (-1.0 if direction[axis] < 0 else 1.0)
     R = rotation_between(direction, target)
     quat = quat_from_rotation(R)
-    return np.array([(*(place - R @ (start + end) / 2), *quat) for place in layouts[axis]])
+    return np.array([(*(place + middle - R @ (start + end) / 2), *quat) for place in layouts[axis]])
 
 
 def piece_count(filling: Filling) -> tuple[int, float]:
@@ -149,7 +155,9 @@ def _room_in(vessel: ObjectConfig, task: ProgramTask) -> _Room:
         wall, taper = vessel.shape.wall_mm / 1000, vessel.shape.taper_mm / 1000
         x, y, height = (side / 1000 for side in vessel.shape.size_mm)
         inside = np.array([x, y]) / 2 - wall - vessel.shape.lip_mm / 1000
-        return _Room(np.array([wall, height]), np.array([inside - taper, inside]), False)
+        # Bars along the long edges of the floor, which only a dish has.
+        bars = max((part.radius for part in vessel.collision if isinstance(part, Capsule)), default=0.0)
+        return _Room(np.array([wall, height]), np.array([inside - taper - (bars, 0.0), inside]), False)
     if not rings or vessel.preposition != "in":
         raise UsageError(
             f"task {task.name!r}: the {vessel.name} cannot be `filled`; fill an object whose `shape` is a deep vessel "

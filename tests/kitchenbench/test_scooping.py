@@ -26,7 +26,7 @@ from yamsim_cli.kitchenbench.object_poses import feasible_poses, origin_in_world
 from yamsim_cli.kitchenbench.pasta import fillings_of, is_body, is_pile, pasta_config_of
 from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
-from yamsim_cli.kitchenbench.scoop_strokes import is_free_step, pieces_on_spoon, stroke_headings, tool_of
+from yamsim_cli.kitchenbench.scoop_strokes import is_free_step, pieces_on_spoon, stroke_heading, tool_of
 from yamsim_cli.kitchenbench.success_judges import KitchenJudge
 from yamsim_cli.kitchenbench.tilting import Tilt, straight_tilt, tilt_path
 from yamsim_cli.loose_pieces import loose_pieces, piece_count, stacked_poses
@@ -66,8 +66,11 @@ def test_tool_and_container_stand_beside_the_dish(epoch: int, base: Any) -> None
         assert world.aabb("container")[1][1] < low[1]
         is_cup = any(one.asset == "measuring_cup" for one in blueprint.objects)
         assert set(feasible_poses(realized.simulator, blueprint)) == {"container", "pile", "tool"}
-        text, (pieces, height) = " ".join(realized.unrealized), (44, 40) if is_cup else (36, 36)
-        assert f"{pieces} solid pieces" in text and f"in a dish of 156 x 230 x {height} mm" in text
+        text, (pieces, size) = (
+            " ".join(realized.unrealized),
+            (44, "110 x 250 x 34") if is_cup else (36, "156 x 230 x 36"),
+        )
+        assert f"{pieces} solid pieces" in text and f"in a dish of {size} mm" in text
     finally:
         realized.simulator.close()
 
@@ -82,18 +85,21 @@ def test_a_stroke_stays_between_the_walls_of_the_dish(name: str, epoch: int, is_
     tool = tool_of(configs["tool"], grasp)
     assert tool is not None and tool.is_spoon == is_spoon
     T_dish = pose((0.3, 0.4, 0.0), rotation_z(0.3))
-    for heading in stroke_headings(T_dish):
-        tips = [T @ np.array([*tool.tip, 1.0]) for T in tool.stroke(configs["pile"], T_dish, heading, 0.0)]
+    heading = stroke_heading(T_dish)
+    for before in (0.0, 0.04):
+        tips = [T @ np.array([*tool.tip, 1.0]) for T in tool.stroke(configs["pile"], T_dish, heading, 0.0, before)]
         along = np.array([(tip[:3] - T_dish[:3, 3]) @ (math.cos(heading), math.sin(heading), 0.0) for tip in tips])
         half, floor = configs["pile"].shape.size_mm[1] / 2000, configs["pile"].shape.wall_mm / 1000
-        assert (np.abs(along) < half).all()
-        assert np.argmax(along) in (3, 4) and along[1] < 0.0
+        assert (np.abs(along) < half).all() and along.max() <= half - configs[
+            "pile"
+        ].shape.wall_mm / 1000 - before + 1e-9
+        assert (before or np.argmax(along) in (3, 4)) and along[1] < 0.0
         # A cup's command is up to 2 mm below the floor's surface, a third of the floor's thickness.
         assert min(tip[2] for tip in tips) >= floor - (0.0 if is_spoon else 0.002) - 1e-9
         assert tips[-1][2] > 0.1
 
 
-def test_a_cup_keeps_a_distance_from_the_long_walls_and_a_spoon_comes_nearer(base: Any) -> None:
+def test_a_cup_fits_only_in_the_middle_of_its_dish(base: Any) -> None:
     reached = {}
     for name in (LEVEL, SHALLOW):
         blueprint = blueprint_of(SCENES[name])
@@ -102,9 +108,75 @@ def test_a_cup_keeps_a_distance_from_the_long_walls_and_a_spoon_comes_nearer(bas
         }
         tool = tool_of(configs["tool"], pose(rotation=[[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]))
         assert tool is not None
-        # The dish is 144 mm wide inside. The cup's radius is 39 mm, and half of the spoon's width 20 mm.
-        reached[name] = [aside for aside in (0.024, -0.024, 0.034, -0.034, 0.045) if tool.fits(configs["pile"], aside)]
-    assert reached == {LEVEL: [0.024, -0.024], SHALLOW: [0.024, -0.024, 0.034, -0.034, 0.045]}
+        # The dishes are 98 and 144 mm wide inside. The cup's radius is 42 mm, and half of the spoon's width 20 mm.
+        reached[name] = [aside for aside in (0.0, 0.008, -0.024, 0.045) if tool.fits(configs["pile"], aside)]
+    assert reached == {LEVEL: [0.0], SHALLOW: [0.0, 0.008, -0.024, 0.045]}
+
+
+def test_the_dish_of_a_cup_has_a_higher_wall_where_the_pieces_lie(base: Any) -> None:
+    blueprint = blueprint_of(SCENES[LEVEL])
+    dish = next(pasta_config_of(item, blueprint, base.locations) for item in blueprint.objects if is_pile(item))
+    high = [part for part in dish.collision if part.type == "box" and part.centre[2] + part.half_size[2] > 0.034001]
+    assert [part.centre[1] < 0.0 for part in high] == [True]
+    assert high[0].centre[2] + high[0].half_size[2] == pytest.approx(0.056)
+    (filling,) = fillings_of(blueprint, base.locations).values()
+    task = base.config.task.model_copy(update={"things": {"pile": Role(of=(dish,), filled=filling)}})
+    along = stacked_poses(task, "pile")[:, 1]
+    # The inside is 238 mm long, and the pieces lie on the first 125 mm.
+    assert along.min() > -0.119 and along.max() < 0.125 - 0.119
+
+
+def test_a_stroke_of_a_cup_ends_where_it_has_passed_enough_pieces(base: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    blueprint = blueprint_of(SCENES[LEVEL])
+    configs = {
+        item.name: pasta_config_of(item, blueprint, base.locations) for item in blueprint.objects if is_body(item)
+    }
+    world = SimpleNamespace(
+        pose=lambda name: np.eye(4), points_inside=lambda name, points: np.ones(len(points), dtype=bool)
+    )
+    context: Any = SimpleNamespace(world=world, object_configs=configs)
+    # The heading is -y: 40 pieces of 5 g, every 2 mm from y = 0 to the far wall.
+    centres = np.column_stack([np.zeros(40), -0.002 * np.arange(40), np.full(40, 0.02)])
+    pieces: Any = SimpleNamespace(centres=centres, grams_each=5.0)
+    monkeypatch.setattr(scoop, "plan_knots", lambda *args: np.zeros((len(args[4]), 6)))
+    job, hand = scoop._Job(context, "tool", "pile", "container", pieces), Mock()
+    tool = tool_of(configs["tool"], pose(rotation=[[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]))
+    job.use(hand, tool)
+    assert tool is not None
+
+    def furthest(grams: float) -> float:
+        stroke = job.best_stroke(np.eye(4), np.zeros(6), 0.0, grams)
+        assert stroke is not None
+        return max(float(-(T @ [*tool.tip, 1.0])[1]) for T in stroke.poses)
+
+    assert furthest(50.0) == pytest.approx(0.002 * scoop._PASSED * 50.0 / 5.0)
+    assert furthest(math.inf) > 0.11
+
+
+def test_a_cup_that_holds_too_much_tilts_slowly_until_enough_is_in_the_container(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    inside, steps = [10.0], list[bool]()
+    pieces: Any = SimpleNamespace(grams_in=lambda name: inside[0] if name == "container" else 100.0)
+    held = SimpleNamespace(T_thing_in_pinch=np.eye(4))
+    context: Any = SimpleNamespace(measure_held_object=lambda hand: held)
+    job = scoop._Job(context, "tool", "pile", "container", pieces)
+    job.use(Mock(), Mock(is_spoon=False))
+    for name in ("travel", "sweep"):
+        monkeypatch.setattr(job, name, lambda *args: iter(()))
+    monkeypatch.setattr(job, "best_stroke", lambda *args: Mock(joints=[None], line=0.0))
+    monkeypatch.setattr(job, "release", lambda *args: Mock(joints=[None]))
+
+    def tilt(motion: Any, is_done: Any, slowly: bool) -> Any:
+        while not is_done():
+            inside[0] += 10.0
+            steps.append(slowly)
+            yield None
+
+    monkeypatch.setattr(job, "tilt", tilt)
+    list(job.scoop_once(60.0, 15.0))
+    # 10 g are in the container, and 60 g less 15 g are enough.
+    assert steps == [True] * 5
 
 
 def test_the_origin_is_nearer_to_the_arms_where_the_container_is_far_from_the_pile() -> None:
@@ -141,7 +213,7 @@ def test_a_stroke_is_planned_for_a_cup_as_it_turned_in_the_hand(is_spoon: bool) 
     job.use(hand, Mock(is_spoon=is_spoon))
     job.follow = lambda rows: iter(reached.extend(rows[:, 0]) or ())  # type: ignore[method-assign, assignment]
     poses = [pose(rotation=rotation_z(angle)) for angle in (0.0, 0.5, 0.9)]
-    list(job.sweep(scoop._Stroke(np.full((3, 6), 9.0), poses, 0.0, (0, 0))))
+    list(job.sweep(scoop._Stroke(np.full((3, 6), 9.0), poses, 0.0, 0.0)))
     assert reached == pytest.approx([9.0, 9.0] if is_spoon else [0.4, 0.7])
 
 
@@ -217,7 +289,7 @@ def test_a_cup_that_holds_too_much_tilts_by_small_steps_where_pieces_slide() -> 
     angles = np.radians(np.arange(65.0, 126.0, 10.0))
     tilt = Tilt(angles, np.tile(angles[:, None], 6))
     list(job.tilt(tilt, lambda: len(goals) == 3, slowly=True))
-    assert np.degrees(goals) == pytest.approx([85.0, 90.0, 95.0])
+    assert np.degrees(goals) == pytest.approx([90.0, 93.0, 96.0])
     goals.clear()
     list(job.tilt(tilt, lambda: len(goals) == 2))
     assert np.degrees(goals) == pytest.approx([95.0, 125.0])
@@ -300,22 +372,21 @@ def test_an_empty_cup_returns_by_one_pose(
     assert counts == [poses]
 
 
-def test_a_cup_tilts_nearer_to_the_wall_only_if_it_cannot_tilt_over_the_middle(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cup_tilts_with_its_lip_where_the_tilt_is_largest(monkeypatch: pytest.MonkeyPatch) -> None:
     context: Any = None
     source: Any = Mock(joints=np.zeros(6))
     tool: Any = Mock(is_spoon=False)
     monkeypatch.setattr(scoop_strokes, "_cup_release", lambda *args: [args[5]])
-    for reached, expected in ((0.02, 0.02), (0.045, 0.045)):
+    for best in (0.02, 0.045):
         monkeypatch.setattr(
             scoop_strokes,
             "plan_knots",
-            lambda *args, reached=reached: np.full((9, 6), args[4][0]) if args[4][0] == reached else np.zeros((0, 6)),
+            lambda *args, best=best: np.full((7 if args[4][0] == best else 5, 6), args[4][0]),
         )
         found = scoop_strokes.plan_release(context, source, tool, "container", 0.0)
-        assert found is not None and found.joints[0, 0] == expected
-    monkeypatch.setattr(scoop_strokes, "plan_knots", lambda *args: np.full((9, 6), args[4][0]))
-    found = scoop_strokes.plan_release(context, source, tool, "container", 0.0)
-    assert found is not None and found.joints[0, 0] == 0.02
+        assert found is not None and found.joints[0, 0] == best
+    monkeypatch.setattr(scoop_strokes, "plan_knots", lambda *args: np.zeros((4, 6)))
+    assert scoop_strokes.plan_release(context, source, tool, "container", 0.0) is None
 
 
 def test_without_a_free_hand_the_message_says_so() -> None:

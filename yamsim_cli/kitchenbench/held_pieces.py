@@ -51,6 +51,11 @@ class LoosePieces:
         centres: Array = self._world.data.xipos[self._bodies]
         return centres
 
+    @property
+    def grams_each(self) -> float:
+        """The mass of a piece, g; all have the same."""
+        return 1000 * float(self._context.model.body_mass[self._bodies[0]])
+
     def grams(self, counted: NDArray[np.bool_]) -> float:
         """Return the mass of the pieces with a flag (n,), g."""
         return 1000 * float(self._context.model.body_mass[self._bodies[counted]].sum())

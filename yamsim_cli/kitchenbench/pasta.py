@@ -14,6 +14,7 @@ from kitchenbench.sim.blueprint import SceneBlueprint, SceneObject
 
 from ..core.config.loader import load_config
 from ..core.config.objects.object_config import ObjectConfig
+from ..core.config.objects.primitives import Box, Capsule
 from ..core.config.program_task import Filling
 from ..core.files.resources import Locations
 from ..loose_pieces import piece_count
@@ -41,26 +42,37 @@ _DISH_WALL, _DISH_CORNER = 6.0, 10.0  # mm
 
 @dataclass(frozen=True)
 class _Pile:
-    """A pile to scoop from, and the height of its dish, mm; the benchmark gives neither. The largest target is 160 g.
+    """A pile to scoop from, and its dish; the benchmark gives neither. The largest target is 160 g.
 
-    At the start, the pieces lie at one end of the dish. With more pieces, no end is free for a tool that goes down.
+    At the start, the pieces lie at one end of the dish. With more pieces, the other end is not free for the tool.
+
+    Attributes:
+        dish_mm: width, length and height of the dish, mm.
+        far_mm: height of the wall at the end where the pieces lie, mm.
+        bed_mm: length from that wall in which the pieces lie at the start, mm; None if they fill the dish in rows.
+        edge_mm: radius of a round bar along the floor's long edges, mm: the rim of a cup does not reach into them.
     """
 
     grams: float
     pieces: int
     length_mm: float
-    dish_height_mm: float
-
-    @property
-    def dish_mm(self) -> tuple[float, float, float]:
-        """Width, length and height of the dish: wide enough for the fingers beside a measuring cup."""
-        return 156.0, 230.0, self.dish_height_mm
+    dish_mm: tuple[float, float, float]
+    far_mm: float
+    bed_mm: float | None = None
+    edge_mm: float = 0.0
 
 
-# Chosen by trials with root seed 0. Over a wall of 36 mm, the first stroke of a cup throws up to 74 g. A spoon brought
-# less from the pile of a cup, and a cup brought less from the pile of a spoon.
-_SPOON_PILE = _Pile(240.0, 36, 40.0, 36.0)
-_CUP_PILE = _Pile(280.0, 44, 34.0, 40.0)
+# Chosen by trials with root seed 0. A cup takes most of the pieces of a dish that is little wider than the cup. The
+# fingers pass over its long walls. Over a far wall of 34 mm, the cup would push pieces.
+_SPOON_PILE = _Pile(240.0, 36, 40.0, (156.0, 230.0, 36.0), 36.0)
+_CUP_PILE = _Pile(280.0, 44, 34.0, (110.0, 250.0, 34.0), 56.0, 125.0, 14.0)
+# Asset of a tool -> its sizes for scooping. A round handle does not roll in the fingers, which press on it with 15 N
+# instead of 11 N on one of 12 x 4 mm. A cup that widens more towards its mouth empties at a smaller tilt.
+_WOOD = {"stuff": "wood", "rgba": [0.62, 0.42, 0.25, 1], "specular": 0.15, "shininess": 0.2}
+_TOOL_SIZES: dict[str, dict[str, Any]] = {
+    "spoon": {"grip_mm": 20, "handle_mm": 20},
+    "measuring_cup": {"diameter_mm": 84, "foot_mm": 58},
+}
 _CUP_ASSET = "measuring_cup"
 
 
@@ -93,14 +105,34 @@ def pasta_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
             "corner_mm": _DISH_CORNER,
             "taper_mm": 0.0,
         }
-        return _smooth(with_shape(base, {**shape_data(base), **sizes, "mass_g": _DISH_GRAMS}))
+        dish = _smooth(with_shape(base, {**shape_data(base), **sizes, "mass_g": _DISH_GRAMS}))
+        return _with_far_wall(dish, _pile_for(blueprint))
     base = object_config_of(item, blueprint.conditions, locations, nests=False)
+    if blueprint.target_kind == SCOOP and item.asset in _TOOL_SIZES:
+        data = {**shape_data(base), **_TOOL_SIZES[item.asset]}
+        if item.asset != _CUP_ASSET:
+            data["materials"] = {**data["materials"], "handle": _WOOD}
+        return _smooth(with_shape(base, data))
     if item.asset != _CARTON_ASSET or blueprint.target_kind == SCOOP:
         return _smooth(base)
     data = shape_data(base)
     carton = {"family": "container", "size_mm": data["size_mm"], "wall_mm": _CARTON_WALL, "corner_mm": _CARTON_WALL}
     carton |= {"mass_g": _CARTON_MASS, "materials": {"body": data["materials"]["body"]}}
     return _smooth(with_shape(base, carton))
+
+
+def _with_far_wall(dish: ObjectConfig, pile: _Pile) -> ObjectConfig:
+    """Return a dish with a higher wall at the end where its pieces lie, and with bars along its long edges."""
+    width, length, height = (size / 1000 for size in pile.dish_mm)
+    wall, far, radius = _DISH_WALL / 1000, pile.far_mm / 1000, pile.edge_mm / 1000
+    parts: list[Box | Capsule] = []
+    if far > height:
+        half_size = (width / 2, wall / 2, (far - height) / 2)
+        parts.append(Box(type="box", centre=(0.0, (wall - length) / 2, (height + far) / 2), half_size=half_size))
+    if radius:
+        x, y = width / 2 - wall, length / 2 - wall
+        parts += [Capsule(type="capsule", start=(at, -y, wall), end=(at, y, wall), radius=radius) for at in (-x, x)]
+    return dish.model_copy(update={"collision": (*dish.collision, *parts), "look": (*dish.look, *parts)})
 
 
 def fillings_of(blueprint: SceneBlueprint, locations: Locations) -> dict[str, Filling]:
@@ -118,7 +150,8 @@ def fillings_of(blueprint: SceneBlueprint, locations: Locations) -> dict[str, Fi
             length = pile.length_mm if pile else 10.0 * float(blueprint.conditions[STRAND_CONDITION])
             piece = with_shape(piece, {**shape_data(piece), "length_mm": length})
         piece = _thick_enough(piece, grams, most, pile is not None)
-        found[item.parent or item.name] = Filling(of=_smooth(piece), grams=grams, max_pieces=most)
+        bed = None if pile is None else pile.bed_mm
+        found[item.parent or item.name] = Filling(of=_smooth(piece), grams=grams, max_pieces=most, length_mm=bed)
     return found
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,25 +36,30 @@ _SPOON_STROKE = (
     (-0.050, 0.130, 16),
 )  # fmt: skip
 _CUP_STROKE = (
-    (-0.150, 0.060, 116), (-0.150, 0.001, 110), (-0.085, -0.001, 97), (-0.008, -0.002, 92), (-0.002, 0.014, 76),
+    (-0.150, 0.060, 108), (-0.150, 0.001, 104), (-0.085, -0.001, 97), (-0.008, -0.002, 92), (-0.002, 0.014, 76),
     (-0.004, 0.045, 62), (-0.030, 0.130, 60),
 )  # fmt: skip
 _WALL_CLEARANCE = 0.004  # m, from a tool to the long walls of a dish: a cup that rubs on a wall rises over pieces
 _SPOON_LEANS = tuple(math.radians(angle) for angle in (15, 30, -15, -30))  # rad, of the hand along the spoon
 # Directions from which a hand may grasp a cup: pads lie flat on its collision boxes.
 _CUP_AZIMUTHS = 8
-_CUP_SHARES = (0.5, 0.6, 0.7)  # heights of that hand, as shares of the cup's height: near its centre of mass
-_SPOON_FORCE = 18.0  # N of each finger, command for the handle; the drive gives 11 N at this width
+# Heights of that hand, as shares of the cup's height. Near its rim, pieces turn it less in the hand.
+_CUP_SHARES = (0.7, 0.6, 0.5)
+# m, from the cup's axis back to the middles of the pads, so that the fingertips pass over the long walls of the dish
+_CUP_GRASP_BACK = 0.005
+_SPOON_FORCE = 18.0  # N of each finger, command for the handle; the drive gives 15 N at its width of 20 mm
 _SPOON_CLEARANCE = 0.010  # m, additional opening of each finger before closing; no other value is recorded
-# rad, from the heading of a stroke to the tool's heading over a vessel, in order of trial: small turns need few actions
-_RELEASE_TURNS = tuple(math.radians(turn) for turn in (0, -30, 30, -60, 60, -90, 90, 120, -120, 150, -150, 180))
+# rad, from the heading of a stroke to the tool's heading over a vessel
+_SPOON_TURNS = tuple(math.radians(turn) for turn in (0, -30, 30, -60, 60, -90, 90, 120, -120, 150, -150, 180))
+_CUP_TURNS = tuple(math.radians(turn) for turn in range(-165, 181, 15))
 _ROLLS = (0, 1, -1)  # the side to which a spoon rolls over a vessel; 0 for one that tilts down by its tip
 _SPOON_ANGLES = tuple(math.radians(angle) for angle in range(0, 106, 15))  # rad, of a spoon's tilt: it begins level
 # rad, of a cup's tilt: it begins near the 60 degrees with which a stroke ends
 _CUP_ANGLES = tuple(math.radians(angle) for angle in range(65, 146, 10))
 _SPOON_RELEASE = math.radians(60)  # rad, least largest tilt of a spoon: pieces slide from 19 degrees on (friction 0.35)
 _SPOON_ENOUGH = math.radians(90)  # rad, tilt of a spoon beyond which more counts nothing: its head is vertical
-_CUP_RELEASE = math.radians(115)  # rad, least largest tilt of a cup: pieces slide from 109 degrees on (friction 0.35)
+# rad, least largest tilt of a cup: its wall slopes by 8 degrees, so pieces slide from 101 degrees on (friction 0.35)
+_CUP_RELEASE = math.radians(105)
 _CUP_ENOUGH = math.radians(125)  # rad, tilt of a cup beyond which more counts nothing; no other value is recorded
 _ROLLS_LEFT = (0.0, 0.5, 1.0)  # shares of a spoon's roll in its hand that stay when it is laid down, in the order tried
 # rad, turns about the vertical of a spoon that is laid down, in the order tried: its first heading suits another grasp
@@ -105,27 +110,37 @@ class ScoopTool:
 
     def fits(self, dish: ObjectConfig, aside: float) -> bool:
         """Whether the tool moves along a dish `aside` m from its middle without touching its long walls."""
-        assert isinstance(dish.shape, ContainerShape), "a dish is a container"
-        room = dish.shape.size_mm[0] / 2000 - dish.shape.wall_mm / 1000
+        room = _shape_of(dish).size_mm[0] / 2000 - _shape_of(dish).wall_mm / 1000
         return abs(aside) + self.tool_half_width + _WALL_CLEARANCE <= room
 
-    def stroke(self, dish: ObjectConfig, T_dish: Array, heading: float, aside: float) -> list[Array]:
-        """Return the tool's poses (4, 4) of a stroke along a dish that passes `aside` m to the left of its middle."""
-        assert isinstance(dish.shape, ContainerShape), "a dish is a container"
-        wall, length = dish.shape.wall_mm / 1000, dish.shape.size_mm[1] / 1000
+    def stroke(self, dish: ObjectConfig, T_dish: Array, heading: float, aside: float, before: float) -> list[Array]:
+        """Return the tool's poses (4, 4) of a stroke along a dish that passes `aside` m to the left of its middle.
+
+        The stroke ends `before` m before the far wall.
+        """
+        wall = _shape_of(dish).wall_mm / 1000
         ahead = np.array((math.cos(heading), math.sin(heading), 0.0))
         left = np.array((-ahead[1], ahead[0], 0.0))
-        end = T_dish[:3, 3] + (length / 2 - wall) * ahead + aside * left + (0.0, 0.0, wall)
+        end = T_dish[:3, 3] + half_length(dish) * ahead + aside * left + (0.0, 0.0, wall)
         return [
-            self.pose_at(end + along * ahead + (0.0, 0.0, up), heading, math.radians(degrees))
+            self.pose_at(end + min(along, -before) * ahead + (0.0, 0.0, up), heading, math.radians(degrees))
             for along, up, degrees in (_SPOON_STROKE if self.is_spoon else _CUP_STROKE)
         ]
 
 
-def stroke_headings(T_dish: Array) -> tuple[float, float]:
-    """Return the two headings in `world` along a dish, rad."""
-    heading = math.atan2(T_dish[1, 1], T_dish[0, 1])
-    return heading, heading + math.pi
+def _shape_of(dish: ObjectConfig) -> ContainerShape:
+    assert isinstance(dish.shape, ContainerShape), "a dish is a container"
+    return dish.shape
+
+
+def half_length(dish: ObjectConfig) -> float:
+    """Return the distance from a dish's middle to its far wall, m."""
+    return _shape_of(dish).size_mm[1] / 2000 - _shape_of(dish).wall_mm / 1000
+
+
+def stroke_heading(T_dish: Array) -> float:
+    """Return the heading in `world` along a dish, rad: to its end at which the pieces lie at the start."""
+    return math.atan2(-T_dish[1, 1], -T_dish[0, 1])
 
 
 def tool_of(config: ObjectConfig, T_pinch_in_tool: Array) -> ScoopTool | None:
@@ -147,7 +162,8 @@ def tool_grasps(config: ObjectConfig) -> Iterator[GraspCandidate]:
     if isinstance(config.shape, CutleryShape):
         yield from _handle_grasps(config)
     else:
-        yield from grasps_from_side(config, _CUP_AZIMUTHS, _CUP_SHARES)
+        for grasp in grasps_from_side(config, _CUP_AZIMUTHS, _CUP_SHARES):
+            yield replace(grasp, T_pinch_in_thing=grasp.T_pinch_in_thing @ pose((0.0, 0.0, -_CUP_GRASP_BACK)))
 
 
 def _handle_grasps(config: ObjectConfig) -> Iterator[GraspCandidate]:
@@ -197,15 +213,17 @@ def plan_release(
 
     A spoon tilts down by its tip, or to a side. A cup tilts further forward.
     """
-    headings = [heading + turn for turn in _RELEASE_TURNS]
     if tool.is_spoon:
-        ways = (_spoon_release(context, tool, vessel, at, roll) for at, roll in itertools.product(headings, _ROLLS))
+        ways = (
+            _spoon_release(context, tool, vessel, heading + turn, roll)
+            for turn, roll in itertools.product(_SPOON_TURNS, _ROLLS)
+        )
         return _best_tilt(context, source, ways, _SPOON_ANGLES, _SPOON_RELEASE, _SPOON_ENOUGH)
-    for behind in _LIPS_BEHIND:
-        ways = (_cup_release(context, source, tool, vessel, at, behind) for at in headings)
-        if tilt := _best_tilt(context, source, ways, _CUP_ANGLES, _CUP_RELEASE, _CUP_ENOUGH):
-            return tilt
-    return None
+    ways = (
+        _cup_release(context, source, tool, vessel, heading + turn, behind)
+        for behind, turn in itertools.product(_LIPS_BEHIND, _CUP_TURNS)
+    )
+    return _best_tilt(context, source, ways, _CUP_ANGLES, _CUP_RELEASE, _CUP_ENOUGH)
 
 
 def _best_tilt(

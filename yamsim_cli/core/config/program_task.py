@@ -56,11 +56,13 @@ class Filling(Config):
         of: object config of a piece, whose collision geometry is one capsule or one sphere.
         grams: total mass of the pieces.
         max_pieces: largest number of pieces. If more are needed, pieces are larger, and their total mass is the same.
+        length_mm: length from a container's end at -y in which pieces lie at the start; without it, anywhere.
     """
 
     of: Annotated[ObjectConfig, ConfigReference("objects")]
     grams: Annotated[FiniteFloat, QuantityBounds("g", 1, 1000)]
     max_pieces: Annotated[int, Field(ge=1, le=300)] = 60
+    length_mm: Annotated[FiniteFloat, QuantityBounds("mm", 1, 1000)] | None = None
 
 
 class Role(Config):
