@@ -45,6 +45,24 @@ def test_too_many_pieces_become_fewer_and_larger(locations: Locations) -> None:
     assert pieces[0].collision[0].radius / single.of.collision[0].radius == pytest.approx(2.0, rel=0.01)
 
 
+def test_pieces_lie_within_a_length_from_the_end_of_a_container(locations: Locations) -> None:
+    task = filled_task("kitchen_container", PASTA, 60.0, locations)
+    role = task.things[VESSEL]
+    assert role.filled is not None
+    filling = role.filled.model_copy(update={"length_mm": 50.0})
+    short: Any = task.model_copy(update={"things": {VESSEL: role.model_copy(update={"filled": filling})}})
+    (ends, radius), (all_ends, _) = ends_of_pieces(short), ends_of_pieces(task)
+    shape: Any = task.objects[0].shape
+    end = -shape.size_mm[1] / 2000
+    assert end < ends[..., 1].min() - radius < ends[..., 1].max() + radius < end + 0.05 + shape.wall_mm / 1000
+    assert all_ends[..., 1].max() > end + 0.07
+    round_role = (
+        filled_task("kitchen_bowl", PASTA, 60.0, locations).things[VESSEL].model_copy(update={"filled": filling})
+    )
+    with pytest.raises(UsageError, match="is round, so `length_mm` does not apply"):
+        stacked_poses(task.model_copy(update={"things": {VESSEL: round_role}}), VESSEL)
+
+
 @pytest.mark.parametrize(
     ("vessel", "grams"),
     [

@@ -79,11 +79,13 @@ def solve(scene: Any, number: int, max_actions: int) -> Array | None:
     if scene.metadata["task"] in _SHORT_SUCCESS:
         judge = _EachAction(planning.motion, judge, states)
     try:
-        run_expert(planning, judge, max_actions, lambda: states.append(planning.motion.data.qpos.copy()))
+        is_each = isinstance(judge, _EachAction)
+        keep = (lambda: None) if is_each else lambda: states.append(planning.motion.data.qpos.copy())
+        run_expert(planning, judge, max_actions, keep)
         if not judge.evaluate()[0]:
             return None
         # A hand-over is far from where the object was.
-        ends = states[:: len(states) - 1] if isinstance(judge, _EachAction) else states[:1]
+        ends = states[:: len(states) - 1] if is_each else states[:1]
         return film_strip(realized.simulator.scene, states, ends)
     finally:
         planning.close()
@@ -113,6 +115,7 @@ def film_strip(scene: Any, states: list[Array], centred: list[Array]) -> Array:
 
     model = scene.model
     data, camera = mujoco.MjData(model), mujoco.MjvCamera()
+    camera.lookat[:] = 0.0
     for state in centred:
         data.qpos[:] = state
         mujoco.mj_kinematics(model, data)

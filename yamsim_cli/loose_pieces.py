@@ -66,6 +66,10 @@ def stacked_poses(task: ProgramTask, name: str) -> Array:
     length_mm = next(role.filled for role in task.things.values() if vessel in role.of and role.filled).length_mm
     middle = np.zeros(3)
     if length_mm is not None:
+        if room.is_round:
+            raise UsageError(
+                f"task {task.name!r}: the {name} is round, so `length_mm` does not apply to its filling; remove it"
+            )
         half = min(length_mm / 2000, float(room.half_widths[:, 1].min()))
         middle[1] = half - room.half_widths[:, 1].min()
         room.half_widths[:, 1] = half
@@ -155,7 +159,7 @@ def _room_in(vessel: ObjectConfig, task: ProgramTask) -> _Room:
         wall, taper = vessel.shape.wall_mm / 1000, vessel.shape.taper_mm / 1000
         x, y, height = (side / 1000 for side in vessel.shape.size_mm)
         inside = np.array([x, y]) / 2 - wall - vessel.shape.lip_mm / 1000
-        # Bars along the long edges of the floor, which only a dish has.
+        # Capsules of a container are bars along the long edges of its floor: see `kitchenbench.pasta`.
         bars = max((part.radius for part in vessel.collision if isinstance(part, Capsule)), default=0.0)
         return _Room(np.array([wall, height]), np.array([inside - taper - (bars, 0.0), inside]), False)
     if not rings or vessel.preposition != "in":

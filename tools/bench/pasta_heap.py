@@ -36,7 +36,7 @@ _NOMINAL = ("kitchen_dry_pasta", "kitchen_penne", "kitchen_rigatoni")
 _TILTS = (120.0, 135.0, 145.0)  # degrees, of the carton; the expert tilts by up to 150 degrees
 _TIMESTEP = 1 / 480  # s, of the physics of KitchenBench's scenes
 _VOLUME, _MOST = 0.3e-3, 300  # m3, total volume of the pieces in the cylinder; their largest number, as in `Filling`
-_RADIUS = 0.05  # m, of the cylinder inside: a length of a piece
+_RADIUS = 0.05  # m, of the cylinder inside: about the length of a piece
 _BASE = 0.07  # m, radius of the base with a rim: pieces cover it up to a slope of 40 degrees, and the rest falls off
 _FLOOR = 0.3  # m, radius of the base without a rim
 _SETTLE_S = 1.0  # s, until pieces rest in the cylinder, and on the base
@@ -107,7 +107,8 @@ def _world(pieces: tuple[ObjectConfig, ...]) -> mujoco.MjSpec:
 def measure_flow(task: ProgramTask, seed: int, tilt_deg: float, towards: int) -> tuple[float, float]:
     """Tilt a task's closed carton towards its x (0) or y (1) axis, and open it.
 
-    Return the flow rate (g/s) of the middle 80 % of the pieces, not a number if they stay, and the share that leaves.
+    Return the flow rate (g/s) of the middle 80 % of the pieces, not a number if less than 90 % leave, and the share
+    that leaves.
     """
     (vessel,) = task.objects
     pieces = loose_pieces(task)[vessel.name]
@@ -147,7 +148,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3, help="of each measurement")
     parser.add_argument("--only", choices=("heap", "flow"), help="measure only these")
     parser.add_argument("--flat", action="store_true", help="heaps on a base without a rim")
-    parser.add_argument("--friction", type=float, help="of the pieces in heaps, instead of the tasks' 0.35")
+    parser.add_argument(
+        "--friction", type=float, help="of the pieces in the cylinder, instead of the tasks' 0.35; with --only heap"
+    )
     given = parser.parse_args()
     heaps, cartons = _tasks(given.friction)
     for name, task in heaps.items() if given.only != "flow" else ():

@@ -47,10 +47,12 @@ class _Pile:
     At the start, the pieces lie at one end of the dish. With more pieces, the other end is not free for the tool.
 
     Attributes:
+        grams, pieces, length_mm: total mass, number of pieces, and length of a piece.
         dish_mm: width, length and height of the dish, mm.
         far_mm: height of the wall at the end where the pieces lie, mm.
-        bed_mm: length from that wall in which the pieces lie at the start, mm; None if they fill the dish in rows.
-        edge_mm: radius of a round bar along the floor's long edges, mm: the rim of a cup does not reach into them.
+        bed_mm: length from that wall in which the pieces lie at the start, mm; None for no limit.
+        edge_mm: radius of round bars along the floor's long edges, mm. They keep pieces out of the edges, which the
+            round rim of a cup does not reach.
     """
 
     grams: float
@@ -63,12 +65,12 @@ class _Pile:
 
 
 # Chosen by trials with root seed 0. A cup takes most of the pieces of a dish that is little wider than the cup. The
-# fingers pass over its long walls. Over a far wall of 34 mm, the cup would push pieces.
-_SPOON_PILE = _Pile(240.0, 36, 40.0, (156.0, 230.0, 36.0), 36.0)
-_CUP_PILE = _Pile(280.0, 44, 34.0, (110.0, 250.0, 34.0), 56.0, 125.0, 14.0)
+# fingers pass over its long walls. A cup would push pieces over a far wall of 34 mm.
+_SPOON_PILE = _Pile(240.0, 36, 40.0, dish_mm=(156.0, 230.0, 36.0), far_mm=36.0)
+_CUP_PILE = _Pile(280.0, 44, 34.0, dish_mm=(110.0, 250.0, 34.0), far_mm=56.0, bed_mm=125.0, edge_mm=14.0)
+_WOOD = {"stuff": "wood", "rgba": [0.62, 0.42, 0.25, 1], "specular": 0.15, "shininess": 0.2}  # of a spoon's handle
 # Asset of a tool -> its sizes for scooping. A round handle does not roll in the fingers, which press on it with 15 N
 # instead of 11 N on one of 12 x 4 mm. A cup that widens more towards its mouth empties at a smaller tilt.
-_WOOD = {"stuff": "wood", "rgba": [0.62, 0.42, 0.25, 1], "specular": 0.15, "shininess": 0.2}
 _TOOL_SIZES: dict[str, dict[str, Any]] = {
     "spoon": {"grip_mm": 20, "handle_mm": 20},
     "measuring_cup": {"diameter_mm": 84, "foot_mm": 58},
@@ -106,7 +108,7 @@ def pasta_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
             "taper_mm": 0.0,
         }
         dish = _smooth(with_shape(base, {**shape_data(base), **sizes, "mass_g": _DISH_GRAMS}))
-        return _with_far_wall(dish, _pile_for(blueprint))
+        return _with_far_wall_and_bars(dish, _pile_for(blueprint))
     base = object_config_of(item, blueprint.conditions, locations, nests=False)
     if blueprint.target_kind == SCOOP and item.asset in _TOOL_SIZES:
         data = {**shape_data(base), **_TOOL_SIZES[item.asset]}
@@ -121,8 +123,11 @@ def pasta_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
     return _smooth(with_shape(base, carton))
 
 
-def _with_far_wall(dish: ObjectConfig, pile: _Pile) -> ObjectConfig:
-    """Return a dish with a higher wall at the end where its pieces lie, and with bars along its long edges."""
+def _with_far_wall_and_bars(dish: ObjectConfig, pile: _Pile) -> ObjectConfig:
+    """Return a dish with a higher wall at the end where its pieces lie, and with bars along its long edges.
+
+    Its mass and inertia are those of the dish without them.
+    """
     width, length, height = (size / 1000 for size in pile.dish_mm)
     wall, far, radius = _DISH_WALL / 1000, pile.far_mm / 1000, pile.edge_mm / 1000
     parts: list[Box | Capsule] = []

@@ -36,23 +36,24 @@ from .scoop_strokes import (
 )
 from .tilting import TICKS, HeldSource, Tilt, nearest_free_hands, straight_tilt
 
-_LIFT = 0.05  # m, straight up after grasping the tool: over the dish's wall of up to 40 mm
+_LIFT = 0.05  # m, straight up after grasping the tool: over the side walls of the dish, of up to 36 mm
 _LAYING_CLEARANCE = 0.01  # m, by which each finger opens to lay the tool down; no other value is recorded
 # rad, largest change of a joint in an action of a stroke or on the way. 1.0 with a spoon was tried only together with
 # the pile of a cup, and brought less.
 _SPOON_JOINT_STEP, _CUP_JOINT_STEP = 0.65, 1.0
-# m, distances of a stroke from the middle of the dish, in the order of preference at equal scores: the dish is 144 mm
-# wide inside.
+# m, distances of a stroke from the middle of the dish, in the order of preference at equal scores: the dish of a spoon
+# is 144 mm wide inside. The dish of a cup has room for the first only.
 _ASIDE = (0.0, 0.008, -0.008, 0.016, -0.016, 0.024, -0.024, 0.034, -0.034, 0.045, -0.045)
 _AHEAD = 0.0  # m from the middle of the dish along the heading; pieces beyond it count for a stroke
 _BEHIND = -0.03  # m from the middle of the dish along the heading; pieces before it hinder a tool that goes down there
 _FAILED_COST = 6  # pieces, by which the score is less for a line on which a stroke brought nothing: it would fail again
 _SPOON_STEP = math.radians(45)  # rad, of a spoon's tilt in an action; no other value is recorded
 _POUR_STEP = math.radians(30)  # rad, of a cup's tilt in an action; no other value is recorded
-# rad: the tilt up to which few pieces slide out of a cup, and the step beyond it if only a part is to leave. With 85
-# and 5 degrees, 0 instead of 2 of 4 trials succeeded: up to 9 pieces slid out in an action.
+# rad: the tilt up to which few pieces slide out of a cup, and the step beyond it if only a part is to leave. Pieces
+# slide from 101 degrees on, or earlier if the cup has turned in the hand. With 85 and 5 degrees, up to 9 pieces slid
+# out in an action.
 _SLIDING, _SLOW_STEP = math.radians(90), math.radians(3)
-# Mass of the pieces that a cup's stroke passes, as a share of what is missing: a part of them stays in the dish. With
+# Mass of the pieces that a cup's stroke passes, over the mass that is missing: a part of them stays in the dish. With
 # 1.0, a stroke brought 0.5 to 0.7 of what was missing.
 _PASSED = 1.6
 _LEAST_GRAMS = 40.0  # g, least mass for which a cup's stroke is planned: shorter strokes brought nothing
@@ -237,7 +238,7 @@ class _Job:
         if tilt is None:
             raise _NoMotionError(FailureCause.UNREACHABLE, f"no way to tilt the {self.tool_name} over the {self.into}")
         yield from self.travel(tilt.joints[0])
-        least = self.pieces.grams_in(self.into) + missing - tolerance
+        least = self.pieces.grams_in(self.into) + missing - tolerance  # g in the container that suffice
         too_much = self.carried() > missing + _FULL_SHARE * tolerance
         yield from self.tilt(tilt, lambda: self.carried() == 0 or self.pieces.grams_in(self.into) >= least, too_much)
 

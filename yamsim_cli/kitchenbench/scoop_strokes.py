@@ -27,10 +27,10 @@ _MAX_STEP = 1.5  # rad, of a joint between two poses of a stroke or of a way; mo
 _CHECKS = (0.5, 1.0)  # shares of the way between two poses at which contacts are checked
 
 # Poses of a stroke: distance of the tip from the dish's far wall along the heading, m; its height over the dish's
-# floor, m; and the tool's angle, degrees: the spoon's pitch, and the cup's tilt. With 85 degrees, the side of the cup
-# lies on the floor, and with less, its foot, so that its rim rises over the pieces. The pieces turn the cup in the hand
-# by some degrees within a motion. Its tilt along the floor is therefore 92 degrees or more, and its height down to
-# 2 mm below it.
+# floor, m; and the tool's angle, degrees: the spoon's pitch, and the cup's tilt. With 82 degrees, the side of the cup
+# lies on the floor, because its wall slopes by 8 degrees. With less, it stands on its foot, so that its rim rises over
+# the pieces. The pieces turn the cup in the hand by some degrees within a motion. Its tilt along the floor is therefore
+# 92 degrees or more, and its height down to 2 mm below it.
 _SPOON_STROKE = (
     (-0.170, 0.080, -45), (-0.170, 0.004, -45), (-0.080, 0.002, -25), (-0.015, 0.004, -18), (-0.010, 0.030, 8),
     (-0.050, 0.130, 16),
@@ -45,7 +45,8 @@ _SPOON_LEANS = tuple(math.radians(angle) for angle in (15, 30, -15, -30))  # rad
 _CUP_AZIMUTHS = 8
 # Heights of that hand, as shares of the cup's height. Near its rim, pieces turn it less in the hand.
 _CUP_SHARES = (0.7, 0.6, 0.5)
-# m, from the cup's axis back to the middles of the pads, so that the fingertips pass over the long walls of the dish
+# m, from the cup's axis back to the middles of the pads. When the cup lies on its side, the hand points down. This
+# raises the fingertips over the long walls of the dish.
 _CUP_GRASP_BACK = 0.005
 _SPOON_FORCE = 18.0  # N of each finger, command for the handle; the drive gives 15 N at its width of 20 mm
 _SPOON_CLEARANCE = 0.010  # m, additional opening of each finger before closing; no other value is recorded
@@ -68,8 +69,8 @@ _LAYING_OVER = 0.004  # m, of a spoon over its first place when the hand opens, 
 _LAYING_RISE = 0.012  # m, by which a fully rolled spoon is higher than that; no other value is recorded
 _LAYING_WAY = 0.06  # m, of the way straight down to that place; no other value is recorded
 _WAY_COST = 0.3  # rad of tilt that a way longer by 1 rad has to gain: longer ways need more actions
-# m, of a cup's lip behind the vessel's middle: half of a piece (40 mm), which then topples, and nearer to the wall
-# where an arm does not reach further
+# m, of a cup's lip behind the vessel's middle: about half of a piece (34 mm), which then topples, and nearer to the
+# wall. The one with the better tilt is used.
 _LIPS_BEHIND = (0.02, 0.045)
 _LIP_GAP = 0.025  # m, from a cup to the vessel's rim; no other value is recorded
 _TIP_BEHIND = 0.015  # m, of a spoon's tip behind the vessel's middle, so that pieces that slide off fall near it
@@ -116,7 +117,7 @@ class ScoopTool:
     def stroke(self, dish: ObjectConfig, T_dish: Array, heading: float, aside: float, before: float) -> list[Array]:
         """Return the tool's poses (4, 4) of a stroke along a dish that passes `aside` m to the left of its middle.
 
-        The stroke ends `before` m before the far wall.
+        The tool stays at least `before` m from the far wall.
         """
         wall = _shape_of(dish).wall_mm / 1000
         ahead = np.array((math.cos(heading), math.sin(heading), 0.0))
