@@ -201,7 +201,8 @@ class _Job:
             near = np.abs(left - aside) < self.tool.swath_half_width
             score = int((near & (along > _AHEAD)).sum()) - int((near & (along < _BEHIND)).sum())
             score -= _FAILED_COST * (aside in self.failed)
-            passed = np.sort(along[near])
+            # A stroke passes no pieces behind the place where the tool goes down.
+            passed = np.sort(along[near & (along > half_length(dish) + self.tool.entry)])
             last = len(passed) if self.tool.is_spoon else min(len(passed), _PASSED * grams / self.pieces.grams_each)
             before = max(0.0, half_length(dish) - passed[math.ceil(last)]) if last <= len(passed) - 1 else 0.0
             options.append((score, aside, before))

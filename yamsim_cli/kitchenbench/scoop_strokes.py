@@ -109,6 +109,11 @@ class ScoopTool:
         R = rotation_from_vector(turn * np.cross((0.0, 0.0, 1.0), ahead)) @ rotation_z(heading - own)
         return pose(tip - R @ self.tip, R)
 
+    @property
+    def entry(self) -> float:
+        """Distance from the far wall at which the tool goes down, along the heading: negative, m."""
+        return (_SPOON_STROKE if self.is_spoon else _CUP_STROKE)[0][0]
+
     def fits(self, dish: ObjectConfig, aside: float) -> bool:
         """Whether the tool moves along a dish `aside` m from its middle without touching its long walls."""
         room = _shape_of(dish).size_mm[0] / 2000 - _shape_of(dish).wall_mm / 1000
