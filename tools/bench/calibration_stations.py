@@ -364,7 +364,8 @@ def _write_cameras(
     lenses = {}
     for name in sorted(matrices, key=lambda one: one != CAMERA):
         camera = camera_with_focal_error(matrices[name], options.size_px, rng)
-        if options.lens != "none" if name == CAMERA else options.wrist_lens:
+        has_distortion = options.lens != "none" if name == CAMERA else options.wrist_lens
+        if has_distortion:
             k1 = float(rng.uniform(-MAX_K1, MAX_K1))
             scale = 1.0 if name == CAMERA else _focal_scale_inside(matrices[name], k1)
             lenses[name] = _lens(matrices[name], scale, k1, options.size_px)

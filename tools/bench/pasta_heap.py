@@ -2,8 +2,8 @@
 
 python -m tools.bench.pasta_heap --seeds 3
 
-Pieces fall into an open cylinder, which is then lifted. Pieces are those of KitchenBench's scenes, and the kitchen's
-pieces at their own size: for `penne` and `rigatoni`, rods with the outline and the mass of the tube.
+Pieces fall into an open cylinder, which is then lifted. The bench takes the pieces of KitchenBench's scenes, and the
+kitchen's pieces at their own size. Penne and rigatoni of their own size are rods with the outline and mass of the tube.
 """
 
 from __future__ import annotations
@@ -175,6 +175,7 @@ def _tasks(friction: float | None) -> tuple[dict[str, ProgramTask], dict[str, Pr
         return base.config.task.model_copy(update={"things": {vessel.name: Role(of=(vessel,), filled=filling)}})
 
     def amount(piece: ObjectConfig, sliding: float) -> Filling:
+        sliding = sliding if friction is None else friction
         contact = piece.contact.model_copy(update={"friction": (sliding, *piece.contact.friction[1:])})
         piece, part = piece.model_copy(update={"contact": contact}), cast("Any", piece.collision[0])
         length = float(np.linalg.norm(np.subtract(part.end, part.start)))
@@ -186,12 +187,12 @@ def _tasks(friction: float | None) -> tuple[dict[str, ProgramTask], dict[str, Pr
         blueprint = build_blueprint(scene, derive_seed(0, scene.init_seed, 0))
         ((filled, filling),) = fillings_of(blueprint, base.locations).items()
         vessel = pasta_config_of(next(i for i in blueprint.objects if i.name == filled), blueprint, base.locations)
-        heaps[name] = task(vessel, amount(filling.of, friction or filling.of.contact.friction[0]))
+        heaps[name] = task(vessel, amount(filling.of, filling.of.contact.friction[0]))
         if kind == "pour_pasta":
             cartons[name] = task(vessel, filling)
     for name in _NOMINAL:
         piece = load_config(ObjectConfig, "objects", name, base.locations)
-        heaps[name] = task(vessel, amount(piece, friction or filling.of.contact.friction[0]))
+        heaps[name] = task(vessel, amount(piece, filling.of.contact.friction[0]))
     (carton,), (coarse,) = cartons["full-box"].objects, cartons["full-box"].things.values()
     nominal = heaps[_NOMINAL[0]].things[vessel.name].filled
     assert coarse.filled is not None and nominal is not None

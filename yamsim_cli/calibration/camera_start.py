@@ -65,7 +65,7 @@ class CameraStart:
 
         Args:
             remaining: k1 that the fit found in the undistorted pictures, for its focal length.
-            log_focal: logarithm of that focal length over the one of `model`, to which `k1` belongs.
+            log_focal: logarithm of the fitted focal length over that of `model`. `k1` belongs to the latter.
         """
         K = np.array(self.model.K)
         corner = np.maximum(K[:2, 2], np.subtract((self.model.width, self.model.height), K[:2, 2])) / np.diag(K)[:2]
@@ -80,7 +80,7 @@ class CameraStart:
 
         Args:
             remaining: k1 that the fit found in the undistorted pictures, for its focal length, unless it was given.
-            log_focal: logarithm of that focal length over the one of `model`.
+            log_focal: logarithm of the fitted focal length over that of `model`.
         """
         scale, ((fx, _, cx), (_, fy, cy), last) = math.exp(log_focal), self.model.K
         K = (fx * scale, 0.0, cx), (0.0, fy * scale, cy), last

@@ -31,9 +31,9 @@ from .episode_pictures import EpisodePictures
 
 _REACHES = (16.0, 10.0, 7.0, 5.0, 3.5, 2.5, 2.5, 2.5, 2.5, 2.5)  # grains, search distance for edges by round
 EDGE_SIGMA = 0.12  # grains, least standard deviation of an edge's position
-# Standard deviation of edges' positions over that of independent edges: all pictures share errors, such as those of
-# meshes and light. Without it, errors of planted stations exceeded their intervals by up to 1.6 times, and a fit moved
-# a given focal length too far.
+# Factor on the standard deviation of an edge's position. Edges are not independent: meshes and light shift an edge
+# alike in all pictures. With a factor of 1, errors of planted stations were up to 1.6 half widths of their intervals,
+# and a fit moved a given focal length too far.
 SHARED_ERRORS = 1.8
 _STILL_PICTURES = 3.0  # pictures that count as independent for the outlines of bodies that stand still
 _CONVERGED = 2e-5  # m, movement of the arms in a round, below which the fit ends

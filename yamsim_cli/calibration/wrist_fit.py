@@ -130,16 +130,17 @@ def estimate_wrist_camera(
     try:
         means = _mean_pictures(name, arm, episodes, start.model)
         with BodyRenderer(rig, scene, quality, start.model, locations) as renderer:
-            found = _search(arm, rig, renderer, means, start)
+            problem = _WristProblem(arm, rig, renderer, means, start)
+            found = _search(problem)
             if start.is_lens_known:
-                found = _without_hidden(arm, rig, renderer, found, start)
+                found = _without_hidden(problem, found)
         if not start.is_lens_known:
             # The fit is linear in k1. So the estimate is removed from the pictures, and what remains is fitted.
             start = start.with_removed_k1(float(found.state[_LENS]), float(found.state[_FOCAL]))
             found = replace(found, state=np.where(np.arange(_SIZE) == _LENS, 0.0, found.state))
             with BodyRenderer(rig, scene, quality, start.model, locations) as renderer:
-                found = _WristProblem(arm, rig, renderer, found.means, start).continued(found)
-                found = _without_hidden(arm, rig, renderer, found, start)
+                problem = _WristProblem(arm, rig, renderer, found.means, start)
+                found = _without_hidden(problem, problem.continued(found))
     except DatasetError as error:
         return WristOutcome(name, None, str(error))
     if found.rows.found_share < _MIN_FOUND:
@@ -194,32 +195,28 @@ class _Solution:
     means: Sequence[_MeanPicture]
 
 
-def _search(
-    arm: int, rig: RigConfig, renderer: BodyRenderer, means: Sequence[_MeanPicture], start: CameraStart
-) -> _Solution:
+def _search(problem: _WristProblem) -> _Solution:
     """Return the best fit near the rig's pose: to all mean pictures or, if it finds few edges, to a clear one."""
-    found = _WristProblem(arm, rig, renderer, means, start).search()
-    if found.rows.found_share < _MIN_FOUND and len(means) > 1:
+    found = problem.search()
+    if found.rows.found_share < _MIN_FOUND and len(problem.means) > 1:
         # An object between the fingers hides the outline at the openings at which they hold it. So take one opening.
-        alone = [_WristProblem(arm, rig, renderer, [one], start).search() for one in means]
+        alone = [problem.with_means([one]).search() for one in problem.means]
         best = max(alone, key=lambda one: one.rows.found_share)
         if best.rows.found_share >= _CLEAR_FOUND:
             return best
     return found
 
 
-def _without_hidden(
-    arm: int, rig: RigConfig, renderer: BodyRenderer, found: _Solution, start: CameraStart
-) -> _Solution:
+def _without_hidden(problem: _WristProblem, found: _Solution) -> _Solution:
     """Return the fit without the pictures in which something hides the outline, unless it is hidden in all."""
-    clear = []
-    for one in found.means:
-        rows = _WristProblem(arm, rig, renderer, [one], start).linearize(found.T_flange_in_cam, found.state, _FAR)
-        if rows.found_share >= _CLEAR_FOUND:
-            clear.append(one)
+
+    def share(one: _MeanPicture) -> float:
+        return problem.with_means([one]).linearize(found.T_flange_in_cam, found.state, _FAR).found_share
+
+    clear = [one for one in found.means if share(one) >= _CLEAR_FOUND]
     if not clear or len(clear) == len(found.means):
         return found
-    return _WristProblem(arm, rig, renderer, clear, start).continued(found)
+    return problem.with_means(clear).continued(found)
 
 
 def _wrist_fit(name: str, arm: int, start: CameraStart, found: _Solution) -> WristFit:
@@ -292,7 +289,7 @@ class _WristProblem:
     def __init__(
         self, arm: int, rig: RigConfig, renderer: BodyRenderer, means: Sequence[_MeanPicture], start: CameraStart
     ) -> None:
-        self._arm, self._renderer, self._means = arm, renderer, means
+        self._arm, self._rig, self._renderer, self.means, self._start = arm, rig, renderer, means, start
         gripper = renderer.moved_by[arm][-1]
         self._gripper = gripper & (renderer.arm_of_body == arm)
         self._undistorted = [renderer.undistort_photo(one.grey) for one in means]
@@ -301,6 +298,10 @@ class _WristProblem:
         sigma = np.array([_PRIOR_TURN] * 3 + [_PRIOR_SHIFT] * 3 + [*lens, *_BIASES])
         self._prior, self._removed_k1 = np.diag(sigma**-2.0), known.removed_k1
         self._T_prior = invert_pose(wrist_camera_pose(rig.arms[arm]))
+
+    def with_means(self, means: Sequence[_MeanPicture]) -> _WristProblem:
+        """Return the same problem with other pictures."""
+        return _WristProblem(self._arm, self._rig, self._renderer, means, self._start)
 
     def search(self) -> _Solution:
         """Return the best fit from many poses at and near the rig's."""
@@ -322,7 +323,7 @@ class _WristProblem:
             rows = self.linearize(T, state, reach)
             step: Array = np.linalg.solve(rows.normal, rows.right_hand_side).astype(np.float64)
             T, state = self.moved(T, step), state + step
-        return _Solution(T, state, self.linearize(T, state, _FAR), self._means)
+        return _Solution(T, state, self.linearize(T, state, _FAR), self.means)
 
     def moved(self, T: Array, step: Array) -> Array:
         """Return the flange's pose after a step that turns about the flange."""
@@ -337,7 +338,7 @@ class _WristProblem:
         """Return the equations of a step, weighted robustly, and how many outline points have an edge."""
         parts = [
             self._mean_rows(one, grey, T_flange_in_cam, state, reach)
-            for one, grey in zip(self._means, self._undistorted, strict=True)
+            for one, grey in zip(self.means, self._undistorted, strict=True)
         ]
         residuals = np.concatenate([own for _, own, _ in parts])
         points = sum(count for _, _, count in parts)

@@ -69,8 +69,9 @@ class _Pile:
 _SPOON_PILE = _Pile(240.0, 36, 40.0, dish_mm=(156.0, 230.0, 36.0), far_mm=36.0)
 _CUP_PILE = _Pile(280.0, 44, 34.0, dish_mm=(110.0, 250.0, 34.0), far_mm=56.0, bed_mm=125.0, edge_mm=14.0)
 _WOOD = {"stuff": "wood", "rgba": [0.62, 0.42, 0.25, 1], "specular": 0.15, "shininess": 0.2}  # of a spoon's handle
-# Asset of a tool -> its sizes for scooping. A round handle does not roll in the fingers, which press on it with 15 N
-# instead of 11 N on one of 12 x 4 mm. A cup that widens more towards its mouth empties at a smaller tilt.
+# Asset of a tool -> its sizes for scooping. The fingers press on a round handle of 20 mm with 15 N, and on a flat one
+# of 12 x 4 mm with 11 N. The round one does not roll. A cup empties at a smaller tilt if it widens more towards its
+# mouth.
 _TOOL_SIZES: dict[str, dict[str, Any]] = {
     "spoon": {"grip_mm": 20, "handle_mm": 20},
     "measuring_cup": {"diameter_mm": 84, "foot_mm": 58},

@@ -195,6 +195,8 @@ class _Job:
         heading, options = stroke_heading(T_dish), []
         ahead = np.array((math.cos(heading), math.sin(heading), 0.0))
         along, left = off @ ahead, off @ np.array((-ahead[1], ahead[0], 0.0))
+        # Pieces that a stroke has to pass. A spoon always moves along the whole dish.
+        needed = math.inf if self.tool.is_spoon else _PASSED * grams / self.pieces.grams_each
         for aside in _ASIDE:
             if not self.tool.fits(dish, aside):
                 continue
@@ -203,8 +205,9 @@ class _Job:
             score -= _FAILED_COST * (aside in self.failed)
             # A stroke passes no pieces behind the place where the tool goes down.
             passed = np.sort(along[near & (along > half_length(dish) + self.tool.entry)])
-            last = len(passed) if self.tool.is_spoon else min(len(passed), _PASSED * grams / self.pieces.grams_each)
-            before = max(0.0, half_length(dish) - passed[math.ceil(last)]) if last <= len(passed) - 1 else 0.0
+            before = 0.0
+            if needed <= len(passed) - 1:
+                before = max(0.0, half_length(dish) - passed[math.ceil(needed)])
             options.append((score, aside, before))
         options.sort(key=lambda one: (-one[0], abs(one[1])))
         for _, aside, before in options:

@@ -110,9 +110,13 @@ class ScoopTool:
         return pose(tip - R @ self.tip, R)
 
     @property
+    def _knots(self) -> tuple[tuple[float, float, float], ...]:
+        return _SPOON_STROKE if self.is_spoon else _CUP_STROKE
+
+    @property
     def entry(self) -> float:
         """Distance from the far wall at which the tool goes down, along the heading: negative, m."""
-        return (_SPOON_STROKE if self.is_spoon else _CUP_STROKE)[0][0]
+        return self._knots[0][0]
 
     def fits(self, dish: ObjectConfig, aside: float) -> bool:
         """Whether the tool moves along a dish `aside` m from its middle without touching its long walls."""
@@ -130,7 +134,7 @@ class ScoopTool:
         end = T_dish[:3, 3] + half_length(dish) * ahead + aside * left + (0.0, 0.0, wall)
         return [
             self.pose_at(end + min(along, -before) * ahead + (0.0, 0.0, up), heading, math.radians(degrees))
-            for along, up, degrees in (_SPOON_STROKE if self.is_spoon else _CUP_STROKE)
+            for along, up, degrees in self._knots
         ]
 
 

@@ -13,6 +13,7 @@ class Cameras {
   }
 
   clear() {
+    this.detail = null;
     this.pictures.clear();
     this.box.replaceChildren();
     this.canvases = [];
@@ -143,8 +144,7 @@ export class EpisodeView {
     this.find("time").textContent = `frame ${this.frame} of ${this.detail.frames - 1}, ${time.toFixed(2)} s`;
     this.slider.ariaValueText = this.find("time").textContent;
     this.paint();
-    const wanted = this.frame, detail = this.detail;
-    const isWanted = () => wanted === this.frame && detail === this.detail;
+    const wanted = this.frame, isWanted = () => wanted === this.frame;
     const shown = [this.cameras.draw(wanted, isWanted)];
     if (this.pinned.detail) shown.push(this.pinned.draw(Math.min(wanted, this.pinned.detail.frames - 1), isWanted));
     const fault = (await Promise.all(shown)).find(Boolean);
