@@ -47,6 +47,8 @@ FLOORS: dict[str, int] = {
     "recorded_settings": 6,
     "core.expert": 7,
     "core.episode": 8,
+    "kitchen_skills": 8,
+    "program_checks": 8,
     "cpu_limits": 8,
     "filesystem_mounts": 8,
     "gl": 8,

@@ -26,11 +26,11 @@ from yamsim_cli.core.episode.episode_rules import EndRule, EpisodeRules
 from yamsim_cli.core.episode.execution import simulate_actions, simulate_expert
 from yamsim_cli.core.episode.sampling import sample_attempt
 from yamsim_cli.core.episode.simulator import Simulator, SimulatorCache, open_episode
-from yamsim_cli.core.expert.skills.program_checks import check_task_config
 from yamsim_cli.core.files.documents.yaml_document import dump_yaml, load_yaml
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
 from yamsim_cli.policies.evaluate.policy_trial import TrialRunner
+from yamsim_cli.program_checks import check_task_config
 from yamsim_cli.station import Station, StationSettings
 from yamsim_cli.viewers.teleop.teleop_scene import TeleopScene
 

@@ -136,7 +136,7 @@ class SessionOpener:
         """
         from .core.config.loader import load_config
         from .core.config.recording import RecordConfig
-        from .core.expert.skills.program_checks import check_task_config
+        from .program_checks import check_task_config
 
         if isinstance(task := given.get("task"), str):
             given["task"] = self.resolve_task(task)

@@ -46,13 +46,13 @@ from yamsim_cli.core.expert.skills.planning_context import (
 from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_from_vector
 from yamsim_cli.core.scene.start_sampling import footprint_corners, footprint_distance
 from yamsim_cli.core.sim.sim_world import SimWorld
+from yamsim_cli.kitchen_skills.sorting import PickNarrowObject, PlaceInCompartment, PutBesideTray, Slide, Sort
 from yamsim_cli.kitchenbench.asset_configs import object_config_of
 from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene, open_station_session
 from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment
 from yamsim_cli.kitchenbench.policy import PlanningScene, YamsimExpert, is_still, segment_actions
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper, commanded_opening, commanded_share, scene_fingers
 from yamsim_cli.kitchenbench.skill_programs import build_scene_program
-from yamsim_cli.kitchenbench.sorting import PickNarrowObject, PlaceInCompartment, PutBesideTray, Slide, Sort
 from yamsim_cli.kitchenbench.success_judges import KitchenWorld
 
 BASES = [np.array((0.0, 0.305)), np.array((0.0, -0.305))]

@@ -17,10 +17,11 @@ from kitchenbench.sim import build_blueprint, make_success_checker
 
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.cloth import grid_edges
+from yamsim_cli.kitchen_skills.fold_small import FoldSmall, bounding_box_area, possible_folds
 from yamsim_cli.kitchenbench.benchmark_scene import BenchmarkScene, build_benchmark_scene, open_station_session
-from yamsim_cli.kitchenbench.fold_small import bounding_box_area, possible_folds, required_area
 from yamsim_cli.kitchenbench.policy import PlanningScene
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
+from yamsim_cli.kitchenbench.skill_programs import build_scene_program
 from yamsim_cli.kitchenbench.success_judges import KitchenWorld
 
 SCENES = {scene.id: scene for scene in tasks.TASK_FACTORIES["fold_cloth"]().scenes}
@@ -107,7 +108,9 @@ def test_what_the_expert_aims_at_is_what_the_checker_asks(name: str) -> None:
         assert cloth is not None
         world = KitchenWorld(scene, SceneStepper(scene, 10))
         checker = make_success_checker(scene.blueprint, world)
-        area = required_area(scene.blueprint, item, cloth)
+        (skill,) = build_scene_program(scene.blueprint, scene.object_configs, scene.base_positions)
+        assert isinstance(skill, FoldSmall)
+        area = skill.largest_area(world.scene, item.name)
         said = checker(_Square(world, math.sqrt(area) + 2 * cloth.half_thickness))
         assert said.success, said.explanation
         assert not checker(_Square(world, 1.03 * math.sqrt(area) + 2 * cloth.half_thickness)).success

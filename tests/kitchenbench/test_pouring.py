@@ -17,13 +17,13 @@ from kitchenbench import tasks
 from tests.kitchenbench.realizations import blueprint_of, seed_of
 from yamsim_cli.core.config.objects.primitives import Capsule
 from yamsim_cli.core.config.program_task import Role
+from yamsim_cli.kitchen_skills.pour import Pour
+from yamsim_cli.kitchen_skills.tilting import lip_height
 from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene
 from yamsim_cli.kitchenbench.pasta import describe_coarse_pieces, fillings_of, is_body, pasta_config_of
 from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
-from yamsim_cli.kitchenbench.pour import Pour
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
 from yamsim_cli.kitchenbench.success_judges import KitchenJudge
-from yamsim_cli.kitchenbench.tilting import lip_height
 from yamsim_cli.loose_pieces import loose_pieces, piece_count, stacked_poses
 
 SCENES = {scene.id: scene for scene in tasks.TASK_FACTORIES["pour_pasta"]().scenes}

@@ -20,15 +20,15 @@ from tests.kitchenbench.realizations import blueprint_of, seed_of
 from yamsim_cli.core.config.program_task import Role
 from yamsim_cli.core.expert.skills.planning_context import SkillFailedError
 from yamsim_cli.core.geometry.se3 import pose, rotation_z
-from yamsim_cli.kitchenbench import scoop, scoop_strokes
+from yamsim_cli.kitchen_skills import scoop, scoop_strokes
+from yamsim_cli.kitchen_skills.scoop_strokes import is_free_step, pieces_on_spoon, stroke_heading, tool_of
+from yamsim_cli.kitchen_skills.tilting import Tilt, straight_tilt, tilt_path
 from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene
 from yamsim_cli.kitchenbench.object_poses import feasible_poses, origin_in_world
 from yamsim_cli.kitchenbench.pasta import fillings_of, is_body, is_pile, pasta_config_of
 from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
-from yamsim_cli.kitchenbench.scoop_strokes import is_free_step, pieces_on_spoon, stroke_heading, tool_of
 from yamsim_cli.kitchenbench.success_judges import KitchenJudge
-from yamsim_cli.kitchenbench.tilting import Tilt, straight_tilt, tilt_path
 from yamsim_cli.loose_pieces import loose_pieces, piece_count, stacked_poses
 
 SCENES = {scene.id: scene for scene in tasks.TASK_FACTORIES["scoop_pasta"]().scenes}

@@ -12,7 +12,7 @@ from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.expert.skills.cloth.cloth_motions import predict_cloth_points
 from yamsim_cli.core.geometry.cloth_flattening import height_range
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.kitchenbench.slide_grasps import SLIDE_SPEED, find_slide_grasps
+from yamsim_cli.kitchen_skills.slide_grasps import SLIDE_SPEED, find_slide_grasps
 
 
 def _turned(points: Array) -> float:

@@ -13,13 +13,13 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError, YamsimError
-from yamsim_cli.core.expert.skills.program_checks import check_task_config
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.assets import AssetStore, resolve_user_set
 from yamsim_cli.objects.building import ImportOptions
 from yamsim_cli.objects.importing.file_import import import_file
 from yamsim_cli.objects.importing.ycb_import import import_ycb
 from yamsim_cli.objects.readers.object_reader import UnitOptions
+from yamsim_cli.program_checks import check_task_config
 
 needs_extra = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
 

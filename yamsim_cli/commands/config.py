@@ -96,7 +96,7 @@ def validate(
     Example: yamsim config validate my_rig.yaml --kind rigs
     """
     from yamsim_cli.core.config.loader import CONFIG_KINDS, config_model, validate_file
-    from yamsim_cli.core.expert.skills.program_checks import check_task_config
+    from yamsim_cli.program_checks import check_task_config
 
     guessed = kind or file.resolve().parent.name
     if kind is None and guessed not in CONFIG_KINDS:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import zlib
 from collections.abc import Mapping
 from typing import Any
@@ -15,7 +14,6 @@ from ..core.config.objects.cloth import Cloth, object_keys_from_cloth
 from ..core.config.objects.generated import object_from_shape
 from ..core.config.objects.object_config import ObjectConfig
 from ..core.config.objects.shapes import CapShape, VesselShape
-from ..core.config.scene import Table
 from ..core.files.resources import Locations
 from ..core.geometry.se3 import Array
 from ..core.scene.compiled import CompiledScene
@@ -68,7 +66,6 @@ _CRUMPLE_SHARES = {
     "moderate": 0.4,
 }  # level -> height and distance of the pull, as shares of half the length
 
-_CLOTH_MARGIN = 0.05  # m, border of the table around flat cloth
 _CRUMPLED_GRID_REFINEMENT = (
     2  # cells of crumpled cloth per cell of flat cloth, along a side: larger cells stand up in tents
 )
@@ -225,6 +222,12 @@ def cloth_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
     return ObjectConfig.model_validate({**data, **object_keys_from_cloth(data)})
 
 
+def start_extras(blueprint: SceneBlueprint) -> dict[str, Any]:
+    """Return additional data of the start of a scene's object: how much a cloth is crumpled."""
+    level = blueprint.conditions.get(CRUMPLE_CONDITION)
+    return {} if level is None else {"crumpled": [_CRUMPLE_SHARES[str(level)]] * 2}
+
+
 def crumpled_start(blueprint: SceneBlueprint, scene: CompiledScene, start: Array, timestep: float) -> Array:
     """Return MuJoCo's positions (nq,) with the flat cloths of `start` crumpled, always the same for a blueprint."""
     level = blueprint.conditions.get(CRUMPLE_CONDITION)
@@ -235,17 +238,3 @@ def crumpled_start(blueprint: SceneBlueprint, scene: CompiledScene, start: Array
     for name in scene.cloths:
         start = crumple_cloth(scene, start, name, rng, _CRUMPLE_SHARES[str(level)], timestep)
     return start
-
-
-def table_for_sheet(table: Table, item: SceneObject, middle: tuple[float, float]) -> Table:
-    """Return a table, enlarged so that a cloth around `middle` (2,) in `world`, m, lies flat on it at any angle."""
-    asset = ASSETS[item.asset]
-    factor = (item.size_cm or asset.footprint_w_cm) / asset.footprint_w_cm
-    reach = math.hypot(asset.footprint_w_cm, asset.footprint_h_cm) * factor / 200 + _CLOTH_MARGIN
-    low, high = [], []
-    for k in (0, 1):
-        low.append(min(table.position[k] - table.half_size[k], middle[k] - reach))
-        high.append(max(table.position[k] + table.half_size[k], middle[k] + reach))
-    half = ((high[0] - low[0]) / 2, (high[1] - low[1]) / 2, table.half_size[2])
-    centre = ((high[0] + low[0]) / 2, (high[1] + low[1]) / 2, table.position[2])
-    return table.model_copy(update={"position": centre, "half_size": half})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,18 +15,16 @@ from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
 from ..core.attempt_data import ObjectLayout
 from ..core.config.goals.role_assignment import RoleAssignment
 from ..core.config.objects.object_config import ObjectConfig
-from ..core.config.program_task import PROGRAM_KIND, Filling, ProgramTask
+from ..core.config.program_task import PROGRAM_KIND, Filling, ProgramTask, Region, TableArea
 from ..core.config.recording import RecordConfig
-from ..core.config.scene import Table
 from ..core.config.session import Session
 from ..core.episode.episode import Episode
 from ..core.episode.expert import arm_sides
 from ..core.episode.simulator import Simulator
 from ..core.expert.planning.arm_solvers import start_postures
-from ..core.geometry.se3 import Array, pose, rotation_z
+from ..core.geometry.se3 import Array, pose
 from ..core.scene.compiled import CompiledScene
 from ..core.sim.settling import settle_objects
-from ..core.sim.sim_world import ContainerRegion, SimWorld
 from ..session_opener import SessionOpener, parse_size
 from .asset_configs import (
     CLOTH_CONFIGS,
@@ -37,9 +35,8 @@ from .asset_configs import (
     container_config_of,
     crumpled_start,
     object_config_of,
-    table_for_sheet,
 )
-from .lids import LID_CONDITIONS, OPEN, SEAL, stiffen_lid_friction
+from .lids import LID_CONDITIONS, OPEN, SEAL
 from .object_poses import BESIDE, T_in_world, feasible_poses, origin_in_world
 from .pasta import (
     POUR,
@@ -65,6 +62,7 @@ _PLACEHOLDER_TASK = "tower"  # replaced by a scene of KitchenBench
 _PHYSICS_STEPS, _CLOTH_PHYSICS_STEPS = 16, 8  # per control tick, without and with cloth
 
 _TABLE_MARGIN = 0.10  # m, from objects to the edge of a widened table
+_CLOTH_MARGIN = 0.05  # m, border of the table around flat cloth
 _DROP_HEIGHT = 0.5  # m over the table, where the search for the resting height starts
 _SPARE_HEIGHT = 2.0  # m, between objects that wait above the table
 _SPAWN_GAP = 0.001  # m, between a placed object and its support
@@ -110,7 +108,6 @@ class BenchmarkScene:
 
     Attributes:
         start: MuJoCo's positions (nq,) at rest.
-        regions: name of a blueprint's object that is a part of another object -> that part.
         offsets_mm: object -> horizontal distance from its required place to its resting place, mm.
         unrealized: requirements of the blueprint that the built scene does not fulfil, as sentences.
     """
@@ -118,7 +115,6 @@ class BenchmarkScene:
     blueprint: SceneBlueprint
     simulator: Simulator
     start: Array
-    regions: Mapping[str, ContainerRegion]
     offsets_mm: Mapping[str, float]
     unrealized: tuple[str, ...]
 
@@ -146,17 +142,7 @@ class BenchmarkScene:
 
     def new_episode(self) -> Episode:
         """Return a new episode without a goal: KitchenBench's checker decides."""
-        scene, timing = self.simulator.scene, self.simulator.config.task.timing
-        return Episode(
-            scene,
-            self.start,
-            timing,
-            self.sides,
-            None,
-            world=lambda data: SimWorld(
-                scene.model, data, scene.arms, self.sides, scene.object_names, regions=self.regions, cloths=scene.cloths
-            ),
-        )
+        return Episode(self.simulator.scene, self.start, self.simulator.config.task.timing, self.sides, None)
 
 
 def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> BenchmarkScene:
@@ -174,11 +160,7 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
     config = base.config
     fillings = fillings_of(blueprint, base.locations) if blueprint.target_kind in _PASTA_KINDS else {}
     task = _make_task(blueprint, config, {item.name: item for item in objects}, fillings)
-    scene = config.scene.model_copy(update={"table": table_for_scene(config, blueprint)})
-    roles = _role_assignment(blueprint)
-    simulator = Simulator(base.with_values(task=task, scene=scene), roles)
-    if blueprint.target_kind == OPEN:
-        stiffen_lid_friction(simulator.scene)
+    simulator = Simulator(base.with_values(task=task), _role_assignment(blueprint))
     wanted = {item.name: T_in_world(item, blueprint) for item in things}
     start = settle_objects(
         simulator.scene, _lower_objects(simulator, feasible_poses(simulator, blueprint)), task.timing.timestep
@@ -191,9 +173,7 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
     coarse = [describe_coarse_pieces(name, one, blueprint, base.locations) for name, one in fillings.items()]
     coarse += [describe_pile(item, blueprint) for item in things if is_pile(item)]
     unrealized = (*_unrealized_conditions(blueprint, offsets), *coarse)
-    return BenchmarkScene(
-        blueprint, simulator, start, _container_regions(blueprint), offsets, tuple(filter(None, unrealized))
-    )
+    return BenchmarkScene(blueprint, simulator, start, offsets, tuple(filter(None, unrealized)))
 
 
 def _config_of(item: SceneObject, blueprint: SceneBlueprint, base: Session) -> ObjectConfig:
@@ -231,6 +211,8 @@ def _make_task(
             "kind": PROGRAM_KIND,
             "rig": config.rig.name,
             "things": {name: {"of": (item,), "filled": fillings.get(name)} for name, item in objects.items()},
+            "regions": container_regions(blueprint),
+            "table_area": table_area(config, [blueprint]),
             "starts": dict.fromkeys(objects, place),
             "phrasings": {"training": (blueprint.instruction,)},
             "goal": {"all": [{"folded" if folds else "upright": {"thing": first}}]},
@@ -241,21 +223,27 @@ def _make_task(
     )
 
 
-def table_for_scene(config: RecordConfig, blueprint: SceneBlueprint) -> Table:
-    """Return the station's table, widened if a scene's objects do not fit onto it."""
-    things = [item for item in blueprint.objects if is_body(item)]
-    table = config.scene.table
-    assert table is not None  # checked when the config was loaded
-    if blueprint.target_kind == FOLD_GOAL_KIND:
-        for item in things:
-            table = table_for_sheet(table, item, origin_in_world(blueprint))
-        return table
-    reach = (
-        max(abs(item.x_cm - 100 * BESIDE) + (item.size_cm or ASSETS[item.asset].footprint_w_cm) / 2 for item in things)
-        / 100
-    )
-    half_width = table.half_size[1] + config.rig.arm_span / 2
-    return table.widen(max(0.0, 2 * (reach + _TABLE_MARGIN - half_width)))
+def table_area(config: RecordConfig, blueprints: Iterable[SceneBlueprint]) -> TableArea | None:
+    """Return the area that the objects of blueprints need, with a margin; None if the station's table is enough."""
+    station = config.widened_table
+    needed = station
+    for blueprint in blueprints:
+        for item in filter(is_body, blueprint.objects):
+            asset = ASSETS[item.asset]
+            if blueprint.target_kind == FOLD_GOAL_KIND:
+                # Cloth lies flat at any angle.
+                factor = (item.size_cm or asset.footprint_w_cm) / asset.footprint_w_cm
+                reach = math.hypot(asset.footprint_w_cm, asset.footprint_h_cm) * factor / 200 + _CLOTH_MARGIN
+                x, y = origin_in_world(blueprint)
+                needed = needed.covering((x - reach, x + reach), (y - reach, y + reach))
+            else:
+                width = item.size_cm or asset.footprint_w_cm
+                reach = (abs(item.x_cm - 100 * BESIDE) + width / 2) / 100 + _TABLE_MARGIN
+                needed = needed.covering((station.position[0],) * 2, (-reach, reach))
+    if needed == station:
+        return None
+    (x, y, _), (length, width, _) = needed.position, needed.half_size
+    return TableArea(x=(x - length, x + length), y=(y - width, y + width))
 
 
 def _role_assignment(blueprint: SceneBlueprint) -> RoleAssignment:
@@ -263,16 +251,20 @@ def _role_assignment(blueprint: SceneBlueprint) -> RoleAssignment:
     return RoleAssignment({**{name: (name,) for name in kinds}, **blueprint.roles}, kinds)
 
 
-def _container_regions(blueprint: SceneBlueprint) -> dict[str, ContainerRegion]:
-    found = {}
-    for item in blueprint.objects:
-        if item.asset == COMPARTMENT:
-            assert item.parent is not None, "a compartment is part of a tray"
-            asset = ASSETS[item.asset]
-            size = np.array([asset.footprint_w_cm, asset.footprint_h_cm, asset.height_cm]) / 100
-            T = pose((item.x_cm / 100, item.y_cm / 100, _TRAY_FLOOR_THICKNESS), rotation_z(math.radians(item.yaw_deg)))
-            found[item.name] = ContainerRegion(item.parent, T, size)
-    return found
+def container_regions(blueprint: SceneBlueprint) -> dict[str, Region]:
+    """Return the compartments of a blueprint's trays."""
+    asset = ASSETS[COMPARTMENT]
+    size = (asset.footprint_w_cm / 100, asset.footprint_h_cm / 100, asset.height_cm / 100)
+    return {
+        item.name: Region(
+            of=item.parent,
+            position=(item.x_cm / 100, item.y_cm / 100, _TRAY_FLOOR_THICKNESS),
+            yaw_deg=item.yaw_deg,
+            size=size,
+        )
+        for item in blueprint.objects
+        if item.asset == COMPARTMENT and item.parent is not None
+    }
 
 
 def _lower_objects(simulator: Simulator, wanted: Mapping[str, Array]) -> Array:

@@ -12,7 +12,6 @@ from kitchenbench.sim.blueprint import SceneBlueprint
 from ..core.config.objects.generated import object_from_shape
 from ..core.config.objects.object_config import ObjectConfig
 from ..core.config.objects.shapes import CapShape, ContainerShape, LidShape, VesselShape
-from ..core.scene.compiled import CompiledScene
 
 #: KitchenBench's kinds of goals in which a lid is opened, and put onto its container.
 OPEN, SEAL = "open", "seal"
@@ -29,8 +28,6 @@ LID_CONDITIONS = frozenset({"lid_torque_nm", "cap_turns", "pry_force_n"})
 _PITCH = 0.004
 _TURNS = 1.0  # turns from shut to off, where the scene does not give `cap_turns`
 _SCREW_DAMPING = 0.02  # N m s/rad, so that a lid does not spin on when the hand lets go
-_FRICTION_TIME_CONSTANT = 0.0042  # s, of the constraint of dry friction: two steps, the least that is stable
-_FRICTION_IMPEDANCE = 0.999  # of that constraint, 0..1; the nearer to 1, the slower a lid creeps
 _SCREW_ARMATURE = 2e-4  # kg m2, for steps of 2 ms with a large friction torque
 
 _SNAP_TRAVEL = 0.020  # m, lift at which a snap lid's rim, 10 mm deep, is clear of the container
@@ -77,20 +74,6 @@ def lidded_container(base: ObjectConfig, asset: str, lid: ObjectConfig, blueprin
     return ObjectConfig.model_validate({**data, **_screw_container(base, lid, torque, turns)})
 
 
-def stiffen_lid_friction(scene: CompiledScene) -> None:
-    """Let lids with dry friction stay where they are below their torque.
-
-    MuJoCo's friction of joints is soft: by default, a bottle's cap turns at 0.3 rad/s under less
-    than half of its torque.
-    """
-    model = scene.model
-    for joint in range(model.njnt):
-        dof = model.jnt_dofadr[joint]
-        if model.joint(joint).name.endswith(f"_{LID}") and model.dof_frictionloss[dof] > 0:
-            model.dof_solref[dof] = (_FRICTION_TIME_CONSTANT, 1.0)
-            model.dof_solimp[dof, :2] = _FRICTION_IMPEDANCE
-
-
 def container_with_ears(shape: Mapping[str, Any]) -> dict[str, Any]:
     """Return the shape's data of a food container that is shorter by the ears, so that both have its size."""
     length, width, height = shape["size_mm"]
@@ -110,7 +93,7 @@ def _screw_container(base: ObjectConfig, lid: ObjectConfig, torque: float, turns
     shoulder = base.shape.shoulder_mm / 1000 or height
     joint = {
         "type": "screw", "axis": [0, 0, 1], "range": [0, 360 * turns], "pitch": _PITCH, "friction": torque,
-        "damping": _SCREW_DAMPING, "armature": _SCREW_ARMATURE,
+        "stiff_friction": True, "damping": _SCREW_DAMPING, "armature": _SCREW_ARMATURE,
     }  # fmt: skip
     at = [0.0, 0.0, height - tall + lid.shape.wall_mm / 1000]
     return {

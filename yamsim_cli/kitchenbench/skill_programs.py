@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
-from kitchenbench.sim.success import SCOOP_TOL_G
+from kitchenbench.sim.success import FOLD_RATIO_PER_FOLD, SCOOP_TOL_G
 
 from ..core.config.objects.object_config import ObjectConfig
 from ..core.config.objects.shapes import CapShape, RackShape
@@ -15,15 +15,15 @@ from ..core.expert.skills.pick import Pick
 from ..core.expert.skills.place import Place
 from ..core.expert.skills.skill import Skill
 from ..core.geometry.se3 import Array
+from ..kitchen_skills.fold_small import FoldSmall
+from ..kitchen_skills.open_lid import OpenLid
+from ..kitchen_skills.pour import Pour
+from ..kitchen_skills.scoop import Scoop
+from ..kitchen_skills.sorting import Sort
 from .asset_configs import CRUMPLE_CONDITION, is_folded_in_thirds
-from .fold_small import FoldSmall, required_area
-from .lids import OPEN, SEAL
+from .lids import LID, OPEN, SEAL
 from .object_poses import T_in_world
-from .open_lid import OpenLid
 from .pasta import POUR, SCOOP
-from .pour import Pour
-from .scoop import Scoop
-from .sorting import Sort
 
 _RACK_BOW_CLEARANCE = 0.008  # m, between a dish and the bow at an end of the rack
 _STACK_DROP = 0.02  # m, height of release: the fingers around the rim reach below it
@@ -56,12 +56,11 @@ def build_scene_program(
         case "stack":
             return _stack_program(blueprint, roles["stack"], bases)
         case "sort":
-            into = {name.removeprefix(_COMPARTMENT_PREFIX): name for name in roles["compartment"]}
-            return [Sort(things="sortable", into=into)]
+            return [Sort(into=compartments(blueprint))]
         case "fold":
-            return _fold_program(blueprint, items, roles["cloth"][0])
+            return _fold_program(blueprint, roles["cloth"][0])
         case kind if kind == OPEN:
-            return [OpenLid(thing=roles["container"][0])]
+            return [OpenLid(thing=roles["container"][0], joint=LID)]
         case kind if kind == POUR:
             return [Pour(thing=roles["source"][0], into=roles["vessel"][0])]
         case kind if kind == SCOOP:
@@ -71,6 +70,12 @@ def build_scene_program(
             descent = _SCREW_LID_UNCHECKED_DESCENT if isinstance(items[lid].shape, CapShape) else 0.0
             return _pick_and_place(lid, Place(thing=lid, on=roles["container"][0], unchecked_descent=descent))
     raise LookupError(f"scene {blueprint.scene_id!r}: no expert for goals of kind {blueprint.target_kind!r}")
+
+
+def compartments(blueprint: SceneBlueprint) -> dict[str, str]:
+    """Return object -> name of the compartment of its kind."""
+    kinds = {item.name: item.asset for item in blueprint.objects}
+    return {name: _COMPARTMENT_PREFIX + kinds[name] for name in blueprint.roles["sortable"]}
 
 
 def _scoop(blueprint: SceneBlueprint) -> Skill:
@@ -84,12 +89,23 @@ def _scoop(blueprint: SceneBlueprint) -> Skill:
     )
 
 
-def _fold_program(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], cloth: str) -> list[Skill]:
-    sheet = items[cloth].cloth
-    assert sheet is not None, "folds are of cloth"
+def _fold_program(blueprint: SceneBlueprint, cloth: str) -> list[Skill]:
     item = next(one for one in blueprint.objects if one.name == cloth)
-    area, thirds = required_area(blueprint, item, sheet), is_folded_in_thirds(blueprint, item)
-    return [FoldSmall(thing=cloth, area=area, thirds=thirds, crumpled=CRUMPLE_CONDITION in blueprint.conditions)]
+    thirds, crumpled = is_folded_in_thirds(blueprint, item), CRUMPLE_CONDITION in blueprint.conditions
+    return [FoldSmall(thing=cloth, thirds=thirds, crumpled=crumpled, **fold_limit(blueprint, item))]
+
+
+def fold_limit(blueprint: SceneBlueprint, item: SceneObject) -> dict[str, float]:
+    """Return the largest bounding box of a folded cloth that KitchenBench's checker accepts.
+
+    The dictionary has the key `area`, m2, or `share`, of the box at the start.
+    """
+    given = blueprint.success_params
+    ratio = FOLD_RATIO_PER_FOLD ** int(float(given.get("fold_count", 1))) * (1 + float(given.get("slack", 0.0)))
+    if given.get("baseline") != "nominal":
+        return {"share": ratio}
+    asset = ASSETS[item.asset]
+    return {"area": ratio * asset.footprint_w_cm * asset.footprint_h_cm / 1e4}
 
 
 def _pick_and_place(thing: str, placing: Skill) -> list[Skill]:

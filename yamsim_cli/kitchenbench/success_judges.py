@@ -73,15 +73,12 @@ class KitchenWorld:
         self._model, self._data = compiled.model, motion.data
         names = list(compiled.object_names)
         self._masses = {item.name: 1000 * item.inertia.mass for item in simulator.config.task.objects}
-        self._pieces = {
-            name: compiled.model.jnt_bodyid[list(compiled.pieces[filled])]
-            for name, filled in realization.substances.items()
-        }
+        self._filled = realization.substances
         self._lidded = {
             item.name for item in simulator.config.task.objects if any(link.name == LID for link in item.links)
         }
         self.scene: SimWorld = motion.episode.world
-        self._names = {*names, *realization.regions}
+        self._names = {*names, *compiled.regions}
         fingers = np.isin(compiled.geom_kind, (GeomOwnerKind.LEFT_FINGER, GeomOwnerKind.RIGHT_FINGER)) & (
             compiled.model.geom_contype != 0
         )
@@ -106,10 +103,8 @@ class KitchenWorld:
 
         For any other object, return its mass times the share of its volume in the container's bounding box.
         """
-        if substance in self._pieces:
-            bodies = self._pieces[substance]
-            inside = self.scene.points_inside(self._require_known(container), self._data.xipos[bodies])
-            return 1000 * float(self._model.body_mass[bodies[inside]].sum())
+        if substance in self._filled:
+            return self.scene.grams_inside(self._filled[substance], self._require_known(container))
         if substance not in self._masses:
             raise KeyError(substance)
         return self._masses[substance] * self.contained_fraction(substance, container)

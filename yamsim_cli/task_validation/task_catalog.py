@@ -8,11 +8,11 @@ from typing import Any
 from ..core.config.loader import load_config
 from ..core.config.program_task import ProgramTask
 from ..core.errors import UsageError
-from ..core.expert.skills.program import parse_program, skill_name
-from ..core.expert.skills.program_checks import check_task_config
+from ..core.expert.skills.program import build_program, skill_name
 from ..core.files.documents.config_base import Config
 from ..core.files.resources import Locations
 from ..core.files.writing import describe_refusal, write_file
+from ..program_checks import check_task_config
 
 _VALID_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
@@ -62,7 +62,7 @@ def task_entries(locations: Locations) -> list[dict[str, Any]]:
 def task_entry(name: str, locations: Locations) -> dict[str, Any]:
     """Return the description of a task as JSON data: name, kind, rig, prompt, things, skills, goal, starts etc."""
     task = load_config(ProgramTask, "tasks", name, locations, check=check_task_config)
-    program = parse_program(task.expert, task.typical_roles)
+    program = build_program(task, task.typical_roles)
     return {
         "name": task.name,
         "kind": task.kind,

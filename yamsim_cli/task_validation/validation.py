@@ -22,11 +22,11 @@ from ..core.episode.execution import SimulatedAttempt, simulate_expert
 from ..core.episode.sampling import sample_attempt
 from ..core.episode.simulator import Simulator, SimulatorCache, open_episode
 from ..core.errors import SimulationError
-from ..core.expert.skills.program import parse_program
-from ..core.expert.skills.program_checks import program_contradiction
+from ..core.expert.skills.program import build_program
 from ..core.geometry.se3 import Array, quat_from_rotation, rotation_from_vector
 from ..core.progress import Progress
 from ..core.scene.compiled import CompiledScene, Ids
+from ..program_checks import program_contradiction
 from ..trials import run_expert_trials
 
 MIN_REACH = 0.9  # share of a start region's points that hands must reach
@@ -98,7 +98,7 @@ def check_holding_still(simulators: SimulatorCache, seed: int, n: int) -> TaskCh
 def check_open_fingers(simulators: SimulatorCache, seed: int, n: int) -> TaskCheck:
     """Check that an expert whose fingers do not close never reaches the goal."""
     task = simulators.session.config.task
-    if all(skill.REQUIRES_HELD_OBJECT is not False for skill in parse_program(task.expert, task.typical_roles)):
+    if all(skill.REQUIRES_HELD_OBJECT is not False for skill in build_program(task, task.typical_roles)):
         return TaskCheck("open_fingers", None, None, "nothing is taken into a hand")
     reached = []
     for job in (AttemptJob(seed, number) for number in range(n)):

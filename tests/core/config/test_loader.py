@@ -15,9 +15,9 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.robot_families import find_families, other_revision, resolve_model_name
 from yamsim_cli.core.errors import ConfigError, UsageError, YamsimError
-from yamsim_cli.core.expert.skills.program_checks import check_task_config
 from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.program_checks import check_task_config
 
 SHIPPED = [(kind, name) for kind in CONFIG_KINDS for name in Locations.from_environment({}).config_names(kind)]
 # Robots are files beside each other, recorded by name.

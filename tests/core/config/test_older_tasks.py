@@ -14,9 +14,9 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.task_migration import upgrade_task
 from yamsim_cli.core.dataset.upgrade import upgrade_config
 from yamsim_cli.core.errors import ConfigError
-from yamsim_cli.core.expert.skills.program_checks import check_task_config
 from yamsim_cli.core.files.documents.yaml_document import dump_yaml, load_yaml
 from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.program_checks import check_task_config
 
 TIMING = {"physics_steps_per_tick": 16, "timestep": 0.002, "ticks_per_frame": 2}
 

@@ -16,9 +16,9 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.upgrade import upgrade_config
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.expert.planning.arm_solvers import start_postures
-from yamsim_cli.core.expert.skills.program_checks import check_task_config
 from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.program_checks import check_task_config
 from yamsim_cli.session_opener import SessionOpener
 
 PICK: dict[str, Any] = {"pick": {"thing": "cube"}}

@@ -46,6 +46,7 @@ _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 _ClothDropHeight = Annotated[
     FiniteFloat, Field(ge=0.1, le=0.8)
 ]  # drop height of a cloth, as a share of its half diagonal
+_RegionLength = Annotated[FiniteFloat, QuantityBounds("m", 1e-3, 2)]
 _MAX_TICK_CHANGE = 0.07  # largest relative change of a control tick for a frame rate, as skills count waits in ticks
 
 
@@ -211,6 +212,29 @@ class NearMiss(Config):
     tilt_deg: Heading = 0.0
 
 
+class Region(Config):
+    """A box-shaped region of an object, such as a compartment of a tray; goals and skills name it like an object.
+
+    Attributes:
+        of: role of the object.
+        position: middle of the region's floor in the object's frame, m.
+        yaw_deg: heading in the object's frame.
+        size: lengths along the region's own axes, m.
+    """
+
+    of: str
+    position: OffsetPoint
+    yaw_deg: Heading = 0.0
+    size: tuple[_RegionLength, _RegionLength, _RegionLength]
+
+
+class TableArea(Config):
+    """A rectangle in `world`, m, over which the table extends at least."""
+
+    x: WorkspaceRange
+    y: WorkspaceRange
+
+
 class ProgramTiming(Config):
     """Rates of physics, control and recorded frames.
 
@@ -254,6 +278,8 @@ class ProgramTask(Config):
     Attributes:
         rig: the default rig.
         things: role -> its objects.
+        regions: name -> region of an object.
+        table_area: the area that the table covers at least; if left out, the scene's table is large enough.
         starts: role -> ranges of its objects' initial poses. Roles are placed in this order.
         arrangements: lists of initial poses, used instead of samples from `starts`. The attempts of a seed use them in
             random order, each again only after all others. `starts` still gives the regions that contain them.
@@ -279,6 +305,10 @@ class ProgramTask(Config):
     grasps: Annotated[tuple[Literal["weld", "contact"], ...], Field(min_length=1)] = ("contact",)
     held_at_the_end: bool = False
     things: Annotated[Mapping[Name, Role], Field(min_length=1)]
+    regions: Annotated[Mapping[Name, Region], Field(exclude_if=lambda regions: not regions)] = Field(
+        default_factory=dict
+    )
+    table_area: Annotated[TableArea | None, Field(exclude_if=lambda area: area is None)] = None
     starts: Mapping[Name, ObjectStartRanges]
     arrangements: tuple[Arrangement, ...] = ()
     phrasings: Phrasings
@@ -306,9 +336,17 @@ class ProgramTask(Config):
                 valid = suggest_similar(start.on, placed)
                 raise ConflictError(f"{start.on!r} is not listed before the {role}; {valid}", ("starts", role, "on"))
             placed.add(role)
-        names = {*self.things, *(name for role in self.things for name in self._numbered_names(role))}
+        things = {*self.things, *(name for role in self.things for name in self._numbered_names(role))}
+        for name, region in self.regions.items():
+            if name in things | {TABLE}:
+                raise ConflictError(f"{name!r} is the name of an object too; rename the region", ("regions", name))
+            if region.of not in things:
+                raise ConflictError(
+                    f"unknown role {region.of!r}; {suggest_similar(region.of, things)}", ("regions", name, "of")
+                )
+        names = {*things, *self.regions}
         for k, miss in enumerate(self.near_misses):
-            if miss.thing not in names:
+            if miss.thing not in things:
                 raise ConflictError(
                     f"unknown role {miss.thing!r}; {suggest_similar(miss.thing, self.things)}",
                     ("near_misses", k, "thing"),
@@ -493,6 +531,13 @@ class ProgramTask(Config):
         """Return all possible names of a role's objects."""
         one = self.things[role]
         return self._numbered_names(role) if one.named == "role" else tuple(item.name for item in one.of)
+
+    def possible_objects(self, name: str) -> tuple[ObjectConfig, ...]:
+        """Return the object configs of a role, or of the role of an object called `name`. Raise KeyError if unknown."""
+        for role, played in self.things.items():
+            if name in (role, *self.possible_names(role)):
+                return played.of
+        raise KeyError(name)
 
     def _numbered_names(self, role: str) -> tuple[str, ...]:
         count = self.things[role].count

@@ -213,8 +213,14 @@ class RecordConfig(Config):
 
     @property
     def widened_scene(self) -> SceneConfig:
-        """The scene, with the table widened and the scene camera moved back by the distance between the rig's arms."""
-        return self.scene.widened_for_arm_distance(self.rig.arm_span)
+        """The scene, with the table widened and the scene camera moved back by the distance between the rig's arms.
+
+        The table also covers the task's `table_area`.
+        """
+        scene, area = self.scene.widened_for_arm_distance(self.rig.arm_span), self.task.table_area
+        if area is None or scene.table is None:
+            return scene
+        return scene.model_copy(update={"table": scene.table.covering(area.x, area.y)})
 
     @property
     def acting_indices(self) -> tuple[int, ...]:

@@ -36,6 +36,16 @@ class Table(Config):
         x, y, z = self.half_size
         return self.model_copy(update={"half_size": (x, y + by / 2, z)})
 
+    def covering(self, x: tuple[float, float], y: tuple[float, float]) -> Table:
+        """Return the table, enlarged where needed so that it covers two ranges in `world`, m."""
+        position, half_size = list(self.position), list(self.half_size)
+        for k, wanted in enumerate((x, y)):
+            present = (position[k] - half_size[k], position[k] + half_size[k])
+            low, high = min(wanted[0], present[0]), max(wanted[1], present[1])
+            if (low, high) != present:
+                position[k], half_size[k] = (low + high) / 2, (high - low) / 2
+        return self.model_copy(update={"position": tuple(position), "half_size": tuple(half_size)})
+
 
 class Light(Config):
     """A directional light.

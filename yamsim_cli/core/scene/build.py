@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -10,18 +11,20 @@ import numpy as np
 from ...loose_pieces import loose_pieces, stacked_poses
 from ..config.mesh_provenance import FULL_MESHES, PRIMITIVES_ONLY, REDUCED_MESHES
 from ..config.objects.object_config import ObjectConfig
+from ..config.program_task import Region
 from ..config.recording import RecordConfig
 from ..config.rig import ArmConfig, RigConfig
 from ..config.scene import SceneConfig
 from ..config.session import Session
 from ..files.resources import Locations
 from ..files.writing import sha256_bytes
+from ..geometry.se3 import pose, rotation_z
 from ..robots.models import Fingers
 from .assets.mesh_reduction import REPORT_FILE
 from .blueprint import Blueprint, TaskPhysics, recording_blueprint
 from .cloth import cloth_grasp_constraint_name, flat_points
 from .compilation import compile_spec
-from .compiled import ArmAddresses, ClothAddresses, CompiledScene, FingerAddresses, GeomOwnerKind, Ids
+from .compiled import ArmAddresses, ClothAddresses, CompiledScene, ContainerRegion, FingerAddresses, GeomOwnerKind, Ids
 from .compose import READING_SUFFIX, WELD_NAME, compose_scene, visual_mesh_sets
 
 TIMESTEP = 0.002  # s, of physics for a rig without a task; equal to the step of tasks
@@ -50,7 +53,13 @@ def build_scene(session: Session) -> CompiledScene:
         geom_arm=geom_arm,
         cloths={item.name: _cloth_addresses(model, config, item) for item in config.task.objects if item.cloth},
         pieces=pieces,
+        regions={name: _container_region(config, region) for name, region in config.task.regions.items()},
     )
+
+
+def _container_region(config: RecordConfig, region: Region) -> ContainerRegion:
+    T = pose(region.position, rotation_z(math.radians(region.yaw_deg)))
+    return ContainerRegion(config.task.typical_roles.object_of(region.of), T, np.array(region.size))
 
 
 def build_rig_scene(

@@ -176,6 +176,24 @@ class ClothAddresses:
 
 
 @dataclass(frozen=True)
+class ContainerRegion:
+    """A box-shaped region of an object, such as a compartment of a tray, of `size` (3,), m.
+
+    The region's origin is at the centre of the floor.
+    """
+
+    thing: str
+    T_in_object: Array
+    size: Array
+
+    @property
+    def corners(self) -> Array:
+        """Lowest and highest corner (2, 3) in the region's frame, m."""
+        x, y, z = self.size
+        return np.array([[-x / 2, -y / 2, 0.0], [x / 2, y / 2, z]])
+
+
+@dataclass(frozen=True)
 class CompiledScene:
     """A compiled model with the addresses for stepping and recording.
 
@@ -187,6 +205,7 @@ class CompiledScene:
         geom_kind: `GeomOwnerKind` of each geom (ngeom,).
         geom_arm: index of each geom's arm in `arms` (ngeom,), -1 for none.
         pieces: filled object -> ids of its pieces' free joints. `qpos0` has their first poses in the object's frame.
+        regions: name -> region of an object.
     """
 
     model: mujoco.MjModel
@@ -198,6 +217,7 @@ class CompiledScene:
     geom_arm: Ids
     cloths: Mapping[str, ClothAddresses] = field(default_factory=dict)
     pieces: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    regions: Mapping[str, ContainerRegion] = field(default_factory=dict)
 
     @property
     def first_arm(self) -> ArmAddresses:

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -9,31 +8,13 @@ from numpy.typing import NDArray
 
 from ..config.goals.world import TABLE
 from ..geometry.se3 import Array, invert_pose, pose
-from ..scene.compiled import ArmAddresses, ClothAddresses, CompiledScene, Ids
+from ..scene.compiled import ArmAddresses, ClothAddresses, CompiledScene, ContainerRegion, Ids
 from .cloth import ClothState
 from .geom_shapes import body_box, body_surface, enclosing_box, geom_aabb, geom_points
 from .interior import Interior
 
 _VOLUME_POINTS = 1000  # sample points in a body, which give volume shares a resolution of 0.001
 _MIN_UPWARD_NORMAL = 0.5  # vertical component of a contact, above which a finger is under a cloth
-
-
-@dataclass(frozen=True)
-class ContainerRegion:
-    """A box-shaped region of an object, such as a compartment of a tray, of `size` (3,), m.
-
-    The region's origin is at the centre of the floor.
-    """
-
-    thing: str
-    T_in_object: Array
-    size: Array
-
-    @property
-    def corners(self) -> Array:
-        """Lowest and highest corner (2, 3) in the region's frame, m."""
-        x, y, z = self.size
-        return np.array([[-x / 2, -y / 2, 0.0], [x / 2, y / 2, z]])
 
 
 class SimWorld:
@@ -46,6 +27,7 @@ class SimWorld:
         things: names of the objects, in order. An object is the body of that name with all its descendants.
         sides: "left" or "right", in the order of `arms`.
         regions: name -> region of an object, such as a tray's compartment.
+        pieces: filled object -> ids of its loose pieces' joints.
     """
 
     def __init__(
@@ -57,11 +39,13 @@ class SimWorld:
         things: Sequence[str],
         regions: Mapping[str, ContainerRegion] | None = None,
         cloths: Mapping[str, ClothAddresses] | None = None,
+        pieces: Mapping[str, Sequence[int]] | None = None,
     ) -> None:
         self._model, self.data = model, data
         self.arms, self.sides, self.object_names = tuple(arms), tuple(sides), tuple(things)
         self._regions = regions or {}
         self._cloths = {name: ClothState(cloth, data) for name, cloth in (cloths or {}).items()}
+        self._pieces = {name: model.jnt_bodyid[list(joints)] for name, joints in (pieces or {}).items()}
         root = model.body_rootid[model.geom_bodyid]
         self._geoms = {name: np.flatnonzero(root == model.body(name).id) for name in things}
         self._geoms[TABLE] = np.array([model.geom(TABLE).id])
@@ -81,6 +65,7 @@ class SimWorld:
         self._hands: dict[str, list[str]] = {name: [] for name in things}
         self._handovers: dict[str, list[tuple[str, str]]] = {name: [] for name in things}
         self._starts: dict[str, Array] = {}
+        self._start_boxes: dict[str, tuple[Array, Array]] = {}
 
     def pose(self, thing: str) -> Array:
         """Return the pose in `world` of an object, a region or a cloth."""
@@ -100,9 +85,14 @@ class SimWorld:
         """Return the pose in `world` that an object had at the last `store_start`."""
         return self._starts[self._require_object(thing)]
 
+    def start_aabb(self, thing: str) -> tuple[Array, Array]:
+        """Return the corners of the bounding box, as `aabb`, that an object had at the last `store_start`."""
+        return self._start_boxes[self._require_object(thing)]
+
     def store_start(self) -> None:
-        """Store the poses of all objects, and clear the records of holders and handovers."""
+        """Store the poses and bounding boxes of all objects, and clear the records of holders and handovers."""
         self._starts = {name: self.pose(name) for name in self.object_names}
+        self._start_boxes = {name: self.aabb(name) for name in self.object_names}
         self._hands = {name: [] for name in self.object_names}
         self._handovers = {name: [] for name in self.object_names}
 
@@ -234,6 +224,12 @@ class SimWorld:
             held |= self._interiors[body].contains((points - T[:3, 3]) @ T[:3, :3])
         return held
 
+    def grams_inside(self, filled: str, container: str) -> float:
+        """Return the mass of the loose pieces of a filled object whose centres are inside a container, g."""
+        bodies = self._pieces[filled]
+        inside = self.points_inside(container, self.data.xipos[bodies])
+        return 1000 * float(self._model.body_mass[bodies[inside]].sum())
+
     def joint_opening(self, thing: str, joint: str) -> float:
         """Return how far a joint is open: 0 at the lower end of its range, 1 at the upper end."""
         found = self._model.joint(f"{self._require_object(thing)}_{joint}")
@@ -326,4 +322,4 @@ def _finger_geoms(model: mujoco.MjModel, arm: ArmAddresses) -> tuple[NDArray[np.
 
 def make_sim_world(scene: CompiledScene, data: mujoco.MjData, sides: Sequence[str]) -> SimWorld:
     """Return the `SimWorld` of a scene and a state; `sides` are the arms' sides, "left" or "right"."""
-    return SimWorld(scene.model, data, scene.arms, sides, scene.object_names, cloths=scene.cloths)
+    return SimWorld(scene.model, data, scene.arms, sides, scene.object_names, scene.regions, scene.cloths, scene.pieces)

@@ -23,6 +23,9 @@ class StillWorld:
         held: object -> sides of the hands that hold it.
         passed: object -> sides of the hands that held it, in order.
         handed: object -> its handovers so far, giver and receiver.
+        boxes: object -> sides of its bounding box, m.
+        start_boxes: object -> sides of its bounding box at the start, m.
+        grams: (filled object, container) -> mass of pieces inside, g.
         shares: (object, container) -> share inside.
         openings: (object, joint) -> share open.
         starts: object -> start.
@@ -36,6 +39,9 @@ class StillWorld:
     held: Mapping[str, frozenset[str]] = field(default_factory=dict)
     passed: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     handed: Mapping[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
+    boxes: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    start_boxes: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    grams: Mapping[tuple[str, str], float] = field(default_factory=dict)
     shares: Mapping[tuple[str, str], float] = field(default_factory=dict)
     openings: Mapping[tuple[str, str], float] = field(default_factory=dict)
     starts: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
@@ -52,10 +58,18 @@ class StillWorld:
         return pose(self.starts[thing])
 
     def aabb(self, thing: str) -> tuple[Array, Array]:
+        if thing in self.boxes:
+            return np.zeros(3), np.array(self.boxes[thing])
         if thing == "table":
             return np.array([-1.0, -1.0, -0.02]), np.array([1.0, 1.0, 0.0])
         middle = np.array(self.places[thing])
         return middle - SIZE / 2, middle + SIZE / 2
+
+    def start_aabb(self, thing: str) -> tuple[Array, Array]:
+        return np.zeros(3), np.array(self.start_boxes[thing])
+
+    def grams_inside(self, filled: str, container: str) -> float:
+        return self.grams[filled, container]
 
     def are_touching(self, one: str, other: str) -> bool:
         return (one, other) in self.touches or (other, one) in self.touches

@@ -109,6 +109,18 @@ CASES = {
         0.004,
         StillWorld({}, sheets={"cup": folded_sheet(apart=0.004, through=0.001)}),
     ),
+    "folded_small": (
+        {"thing": "cup", "share": 0.6},
+        StillWorld({}, boxes={"cup": (0.2, 0.25, 0.01)}, start_boxes={"cup": (0.2, 0.5, 0.01)}),
+        0.01,
+        StillWorld({}, boxes={"cup": (0.2, 0.31, 0.01)}, start_boxes={"cup": (0.2, 0.5, 0.01)}),
+    ),
+    "contains": (
+        {"container": "plate", "pieces_of": "cup", "least_g": 40, "most_g": 60},
+        StillWorld({}, grams={("cup", "plate"): 55.0}),
+        5.0,
+        StillWorld({}, grams={("cup", "plate"): 60.5}),
+    ),
     "spread": (
         {"thing": "cup", "height": 0.01},
         StillWorld({}, sheets={"cup": flat_sheet(high=0.004)}),
@@ -116,6 +128,29 @@ CASES = {
         StillWorld({}, sheets={"cup": folded_sheet(apart=0.004)}),
     ),
 }
+
+
+@pytest.mark.parametrize(
+    ("box", "held", "holds"),
+    [((0.2, 0.25, 0.01), (), True), ((0.2, 0.25, 0.05), (), False), ((0.2, 0.25, 0.01), ("left",), False)],
+)
+def test_a_high_or_held_cloth_is_not_folded_small(box: Place, held: tuple[str, ...], holds: bool) -> None:
+    goal = Goal.model_validate({"folded_small": {"thing": "cup", "area": 0.06, "height": 0.04}})
+    world = StillWorld({}, boxes={"cup": box}, held={"cup": frozenset(held)})
+    assert evaluate_goal(goal, world, CAST).reached == holds
+
+
+@pytest.mark.parametrize(
+    ("clause", "said"),
+    [
+        ({"folded_small": {"thing": "cup"}}, "give either `area` or `share`"),
+        ({"folded_small": {"thing": "cup", "area": 0.1, "share": 0.5}}, "give either `area` or `share`"),
+        ({"contains": {"container": "plate", "pieces_of": "cup", "least_g": 9, "most_g": 8}}, "9 is above `most_g` 8"),
+    ],
+)
+def test_contradicting_arguments_are_refused(clause: dict[str, object], said: str) -> None:
+    with pytest.raises(ValidationError, match=said):
+        Goal.model_validate(clause)
 
 
 def test_every_predicate_has_a_case() -> None:

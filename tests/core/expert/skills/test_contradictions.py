@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from tests.programs import STATION, changed, session_of
-from yamsim_cli.core.expert.skills.program_checks import program_contradiction
 from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.program_checks import program_contradiction
 
 PICK = {"pick": {"thing": "cube"}}
 GIVE = {"handover": {"thing": "cube"}}

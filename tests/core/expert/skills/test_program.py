@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from importlib.metadata import EntryPoint
 from typing import Any, ClassVar, cast
 
 import pytest
@@ -216,3 +217,31 @@ def test_an_invalid_step_is_refused_with_its_key_path(step: dict[str, Any], path
     with pytest.raises(ConflictError, match=said) as caught:
         parse_program([step], CAST)
     assert caught.value.paths[0] == path
+
+
+class FailingElsewhere(Failing):
+    """A skill of another package."""
+
+
+def _entry_point(name: str, value: str) -> EntryPoint:
+    return EntryPoint(name, value, program.SKILL_GROUP)
+
+
+def test_skills_of_other_packages_are_found_by_their_entry_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    points = {
+        "fail": _entry_point("fail", f"{__name__}:FailingElsewhere"),
+        "lost": _entry_point("lost", "yamsim_cli.no_such_module:Lost"),
+    }
+    monkeypatch.setattr(program, "_skill_entry_points", lambda: points)
+    assert program.skill_names()[-2:] == ("fail", "lost")
+    (skill,) = parse_program([{"fail": {"times": 2}}], CAST)
+    assert skill == FailingElsewhere(times=2) and program.skill_name(skill) == "fail"
+    with pytest.raises(ConflictError, match=r"the skill 'lost' cannot be imported: .*; install its package again"):
+        parse_program([{"lost": {}}], CAST)
+    with pytest.raises(ConflictError, match="unknown skill 'fial'; did you mean 'fail'"):
+        parse_program([{"fial": {}}], CAST)
+
+
+def test_yamsims_own_entry_points_are_found() -> None:
+    assert set(program.skill_names()) - set(program.SKILLS) == {"fold_small", "open_lid", "pour", "scoop", "sort"}
+    assert all(issubclass(program.skill_class(name), Skill) for name in program.skill_names())

@@ -11,7 +11,8 @@ from pydantic import Field, FiniteFloat, create_model, model_validator
 from ...files.documents.config_base import Config
 from ...files.documents.units import QuantityBounds
 from .measure import GoalMeasure, worst_measure
-from .predicates import PREDICATES, Predicate
+from .predicate import Predicate
+from .predicates import PREDICATES
 from .role_assignment import RoleAssignment
 from .world import GoalWorld
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from .goal import Clause
-from .predicates import Predicate
+from .predicate import Predicate
 
 PredicateKeyPath = tuple[str | int, ...]
 WhyPredicateImpossible = Callable[[Predicate], str | None]

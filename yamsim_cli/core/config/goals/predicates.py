@@ -3,78 +3,22 @@
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from collections.abc import Mapping
 from itertools import pairwise
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, FiniteFloat, model_validator
 
-from ...files.documents.config_base import Config
-from ...files.documents.units import Distance, Place, Share
-from ...geometry.cloth_folding import ClothFoldKind, FoldPlan, fold_plans, outline_area, sheet_area
+from ...files.documents.units import Distance, Place, QuantityBounds, Share
 from ...geometry.se3 import Array, invert_pose
+from .cloth_predicates import Folded, FoldedSmall, Spread
 from .measure import GoalMeasure, binary_measure
+from .predicate import PerObjectPredicate, PerPairPredicate, Predicate, failure_if_held
 from .role_assignment import RoleAssignment
 from .world import TABLE, GoalWorld
 
 _ReceiverSide = Literal["left", "right", "either"]
-
-
-class Predicate(Config):
-    """Base of all predicates. Fields are the arguments of a predicate; `ROLES` lists the arguments that name roles."""
-
-    ROLES: ClassVar[tuple[str, ...]]
-    # Whether objects of the first role have to be in a hand (True) or in no hand (False); None if both are possible.
-    IN_HAND: ClassVar[bool | None] = None
-    # Whether only cloth may have the roles.
-    JUDGES_CLOTH: ClassVar[bool] = False
-
-    @abstractmethod
-    def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
-        """Return one or more measures for each object or pair of objects; all have to hold."""
-
-    def roles(self) -> tuple[tuple[str, str], ...]:
-        """Return pairs of an argument that names a role, and the role."""
-        return tuple((field, role) for field in self.ROLES if (role := getattr(self, field)) is not None)
-
-
-class _PerObjectPredicate(Predicate):
-    """A predicate that each object of a role has to fulfil."""
-
-    ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    thing: str
-
-    def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
-        return [measure for thing in roles.objects_of(self.thing) for measure in self._object_measures(world, thing)]
-
-    def _object_measures(self, world: GoalWorld, thing: str) -> list[GoalMeasure]:
-        return [self._measure_object(world, thing)]
-
-    def _measure_object(self, world: GoalWorld, thing: str) -> GoalMeasure:
-        raise NotImplementedError
-
-
-class _PerPairPredicate(Predicate):
-    """A predicate on each pair of objects of two roles, as `RoleAssignment.object_pairs` assigns them."""
-
-    thing: str
-
-    def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
-        return [
-            self._measure_pair(world, *pair) for pair in roles.object_pairs(self.thing, getattr(self, self.ROLES[1]))
-        ]
-
-    @abstractmethod
-    def _measure_pair(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure: ...
-
-
-def _failure_if_held(world: GoalWorld, thing: str, what: str) -> GoalMeasure | None:
-    """Return a failed measure if a hand holds the object; None otherwise."""
-    holders = world.holding_sides(thing)
-    return binary_measure(what, False, f"the {' and the '.join(sorted(holders))} hand holds it") if holders else None
 
 
 def _depth_inside_box_xy(world: GoalWorld, upper: str, lower: str) -> float:
@@ -93,7 +37,7 @@ def _top_height(world: GoalWorld, thing: str) -> float:
     return float(world.aabb(thing)[1][2])
 
 
-class On(_PerPairPredicate):
+class On(PerPairPredicate):
     """Each object touches its surface, the object's middle lies above the surface, and no hand holds the object.
 
     Attributes:
@@ -111,7 +55,7 @@ class On(_PerPairPredicate):
 
     def _measure_pair(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
         what = f"on({thing}, {other})"
-        if held := _failure_if_held(world, thing, what):
+        if held := failure_if_held(world, thing, what):
             return held
         if not world.are_touching(thing, other):
             return binary_measure(what, False, "they do not touch")
@@ -127,7 +71,7 @@ class On(_PerPairPredicate):
         return GoalMeasure(what, inside - self.inside, "m", f"its middle {inside * 1000:.0f} mm inside the outline")
 
 
-class Inside(_PerPairPredicate):
+class Inside(PerPairPredicate):
     """At least a share of each object's volume lies in its container's interior, and no hand holds the object.
 
     Attributes:
@@ -141,7 +85,7 @@ class Inside(_PerPairPredicate):
 
     def _measure_pair(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
         what = f"in({thing}, {other})"
-        if held := _failure_if_held(world, thing, what):
+        if held := failure_if_held(world, thing, what):
             return held
         share = world.volume_fraction_inside(thing, other)
         return GoalMeasure(what, share - self.share, "share", f"{share:.0%} of it inside, of {self.share:.0%} asked")
@@ -169,7 +113,7 @@ class Stacked(Predicate):
     @staticmethod
     def _measure_pair(world: GoalWorld, lower: str, upper: str) -> GoalMeasure:
         what = f"stacked({upper} on {lower})"
-        if held := _failure_if_held(world, upper, what):
+        if held := failure_if_held(world, upper, what):
             return held
         if not world.are_touching(upper, lower):
             return binary_measure(what, False, "they do not touch")
@@ -179,7 +123,7 @@ class Stacked(Predicate):
         return GoalMeasure(what, inside, "m", f"its middle {inside * 1000:.0f} mm inside the lower one's outline")
 
 
-class Over(_PerPairPredicate):
+class Over(PerPairPredicate):
     """The middle of each object's bounding box lies above its surface's box; its bottom is near the surface's top.
 
     Unlike `on`, `over` needs no contact and lets a hand hold the object: the bounding box of a plate ends at its rim.
@@ -240,7 +184,7 @@ class Piled(Predicate):
         return GoalMeasure(f"piled({upper} on {lower})", margin, "m", detail)
 
 
-class Upright(_PerObjectPredicate):
+class Upright(PerObjectPredicate):
     """The z axis of each object points up.
 
     Attributes:
@@ -311,7 +255,7 @@ class Near(Predicate):
         return GoalMeasure(f"near({thing}, {other}, {self.side})", min(margin, inside), "m", detail)
 
 
-class Above(_PerPairPredicate):
+class Above(PerPairPredicate):
     """Each object's lowest point is higher than another object's highest point.
 
     Attributes:
@@ -328,7 +272,7 @@ class Above(_PerPairPredicate):
         return GoalMeasure(f"above({thing}, {other})", height - self.by, "m", f"{height * 1000:.0f} mm over it")
 
 
-class HeldBy(_PerObjectPredicate):
+class HeldBy(PerObjectPredicate):
     """A hand holds each object: by contacts of both fingers, by a weld, or, for cloth, by a constraint.
 
     Attributes:
@@ -352,7 +296,7 @@ class HeldBy(_PerObjectPredicate):
         return binary_measure(f"held_by({thing}, {self.arm})", holds, detail)
 
 
-class HandedOver(_PerObjectPredicate):
+class HandedOver(PerObjectPredicate):
     """Each object went from one hand to the other in the air, and has not been put down since.
 
     Attributes:
@@ -370,7 +314,7 @@ class HandedOver(_PerObjectPredicate):
         return binary_measure(f"handed_over({thing}, {self.to})", holds, f"held by: {', '.join(hands) or 'no hand'}")
 
 
-class WasHandedOver(_PerObjectPredicate):
+class WasHandedOver(PerObjectPredicate):
     """Each object went from one hand to the other in the air since the attempt began. It may lie down now.
 
     Attributes:
@@ -453,7 +397,7 @@ class Sorted(Predicate):
         return Inside(thing=thing, container=self.into[kind]).measures(world, roles)[0]
 
 
-class Open(_PerObjectPredicate):
+class Open(PerObjectPredicate):
     """A joint of each object is open by at least, or at most, a share of its range.
 
     Attributes:
@@ -497,7 +441,7 @@ class Swapped(Predicate):
         return GoalMeasure(f"swapped({thing}, {other})", self.radius - off, "m", detail)
 
 
-class Hung(_PerPairPredicate):
+class Hung(PerPairPredicate):
     """A peg goes through an eye of each object, the object does not touch the table, and no hand holds it.
 
     A swinging object leaves the peg for moments, and needs no contact. The goal's hold time excludes falling objects.
@@ -520,7 +464,7 @@ class Hung(_PerPairPredicate):
 
     def _measure_pair(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
         what = f"hung({thing}, {other})"
-        if held := _failure_if_held(world, thing, what):
+        if held := failure_if_held(world, thing, what):
             return held
         if world.are_touching(thing, TABLE):
             return binary_measure(what, False, "it touches the table")
@@ -533,95 +477,36 @@ class Hung(_PerPairPredicate):
         return GoalMeasure(what, min(self.radius - off, behind - self.depth), "m", detail)
 
 
-class Folded(_PerObjectPredicate):
-    """Each cloth is folded, lies flat, and no hand holds it.
+class Contains(Predicate):
+    """Loose pieces with a total mass in a range lie in a container's interior, see `filled` of a role.
+
+    A piece counts if its centre is inside.
 
     Attributes:
-        thing: a role of cloth.
-        how: `half`, along either side; `diagonal`, along either diagonal; or `thirds`, from either side, the last third
-            over the first.
-        error: largest horizontal distance between two points that coincide in an exact fold, m.
-        area: largest difference from an exact fold in the share of the cloth's area that its outline covers.
-        height: largest height of a point above the lowest point, m.
+        container: a role.
+        pieces_of: role of the object that the pieces fill at the start.
+        least_g, most_g: the range, g.
     """
 
-    IN_HAND: ClassVar[bool | None] = False
-    JUDGES_CLOTH: ClassVar[bool] = True
-    how: ClothFoldKind = "half"
-    error: Annotated[Distance, Field(gt=0)] = 0.02
-    area: Annotated[Share, Field(gt=0)] = 0.1
-    height: Annotated[Distance, Field(gt=0)] = 0.03
+    ROLES: ClassVar[tuple[str, ...]] = ("container", "pieces_of")
+    container: str
+    pieces_of: str
+    least_g: Annotated[FiniteFloat, QuantityBounds("g", 0, 1e4)] = 0.0
+    most_g: Annotated[FiniteFloat, QuantityBounds("g", 0, 1e4)] = 1e4
 
-    def _object_measures(self, world: GoalWorld, thing: str) -> list[GoalMeasure]:
-        what = f"folded({thing}, {self.how})"
-        if held := _failure_if_held(world, thing, what):
-            return [held]
-        points = world.cloth_points(thing)
-        ways = fold_plans(self.how, *points.shape[:2])
-        if not ways:
-            return [binary_measure(what, False, "its grid of points cannot be folded in this way")]
-        folded = min(ways, key=lambda way: _fold_error(points, way))
-        error, covered = _fold_error(points, folded), _covered_area_share(points)
-        high, order = float(np.ptp(points[..., 2])), _layer_gap(points, folded)
-        off = abs(covered - folded.covered)
-        return [
-            GoalMeasure(
-                what, self.error - error, "m", f"points that lie on each other are at most {error * 1000:.1f} mm apart"
-            ),
-            GoalMeasure(f"{what}: area", self.area - off, "share", f"it covers {covered:.1%} of its area"),
-            GoalMeasure(f"{what}: layers", order, "m", f"the upper layer is at least {order * 1000:.1f} mm higher"),
-            GoalMeasure(f"{what}: flat", self.height - high, "m", f"{high * 1000:.1f} mm high"),
-        ]
+    @model_validator(mode="after")
+    def _range_is_ordered(self) -> Contains:
+        if self.least_g > self.most_g:
+            raise ValueError(f"`least_g` {self.least_g:g} is above `most_g` {self.most_g:g}; swap them")
+        return self
 
-
-class Spread(_PerObjectPredicate):
-    """Each cloth lies flat in one layer, and no hand holds it.
-
-    Attributes:
-        thing: a role of cloth.
-        area: least share of the cloth's area that its outline covers, seen from above.
-        height: largest height of a point above the lowest point, m.
-    """
-
-    IN_HAND: ClassVar[bool | None] = False
-    JUDGES_CLOTH: ClassVar[bool] = True
-    area: Annotated[Share, Field(gt=0, lt=1)] = 0.95
-    height: Annotated[Distance, Field(gt=0)] = 0.015
-
-    def _object_measures(self, world: GoalWorld, thing: str) -> list[GoalMeasure]:
-        what = f"spread({thing})"
-        if held := _failure_if_held(world, thing, what):
-            return [held]
-        points = world.cloth_points(thing)
-        covered, high = _covered_area_share(points), float(np.ptp(points[..., 2]))
-        return [
-            GoalMeasure(what, covered - self.area, "share", f"it covers {covered:.1%} of its area"),
-            GoalMeasure(f"{what}: flat", self.height - high, "m", f"{high * 1000:.1f} mm high"),
-        ]
-
-
-def _covered_area_share(points: Array) -> float:
-    """Return the share of a cloth's area that its outline covers, seen from above."""
-    return outline_area(points[..., :2].reshape(-1, 2)) / sheet_area(points)
-
-
-def _layer_points(points: Array, layer: NDArray[np.int_]) -> Array:
-    there: Array = points[layer[:, 0], layer[:, 1]]
-    return there
-
-
-def _fold_error(points: Array, plan: FoldPlan) -> float:
-    """Return the largest horizontal distance between points that coincide in an exact fold, m."""
-    pairs = [(_layer_points(points, one), _layer_points(points, other)) for one, other in plan.layers]
-    return float(max(np.linalg.norm((one - other)[:, :2], axis=1).max() for one, other in pairs))
-
-
-def _layer_gap(points: Array, plan: FoldPlan) -> float:
-    """Return the least height of a layer above the layer below, m; negative if the layers intersect."""
-    higher = np.concatenate(
-        [_layer_points(points, one)[:, 2] - _layer_points(points, other)[:, 2] for one, other in plan.layers]
-    )
-    return float(max(higher.min(), -higher.max()))  # a fold from below reverses the order of the layers
+    def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
+        """Return the measure of the mass in the container."""
+        container = roles.object_of(self.container)
+        grams = sum(world.grams_inside(filled, container) for filled in roles.objects_of(self.pieces_of))
+        margin = min(grams - self.least_g, self.most_g - grams)
+        wanted = f"{self.least_g:g} to {self.most_g:g} g asked"
+        return [GoalMeasure(f"contains({container})", margin, "g", f"{grams:.1f} g inside, {wanted}")]
 
 
 PREDICATES: Mapping[str, type[Predicate]] = {
@@ -642,4 +527,6 @@ PREDICATES: Mapping[str, type[Predicate]] = {
     "hung": Hung,
     "folded": Folded,
     "spread": Spread,
+    "folded_small": FoldedSmall,
+    "contains": Contains,
 }

@@ -28,6 +28,9 @@ class GoalWorld(Protocol):
     def aabb(self, thing: str) -> tuple[Array, Array]:
         """Return the lowest and the highest corner (3,) of an object's axis-aligned bounding box."""
 
+    def start_aabb(self, thing: str) -> tuple[Array, Array]:
+        """Return the corners of `aabb` at the start of the attempt."""
+
     def are_touching(self, one: str, other: str) -> bool:
         """Return whether two objects touch; `TABLE` may be one of them."""
 
@@ -42,6 +45,9 @@ class GoalWorld(Protocol):
 
     def volume_fraction_inside(self, thing: str, container: str) -> float:
         """Return the share, 0..1, of an object's volume in the space that a container's walls enclose."""
+
+    def grams_inside(self, filled: str, container: str) -> float:
+        """Return the mass of the loose pieces of a filled object whose centres are inside a container, g."""
 
     def cloth_points(self, thing: str) -> Array:
         """Return the points (rows, columns, 3) of a cloth; rows run along the cloth's x axis."""

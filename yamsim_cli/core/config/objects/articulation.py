@@ -88,6 +88,8 @@ class LinkJoint(Config):
         start: initial position, in the same unit.
         damping: viscous damping, N s/m or N m s/rad.
         friction: dry friction, N or N m.
+        stiff_friction: whether the joint stays where it is below this friction; otherwise it creeps. Physics steps must
+            not be longer than 2.1 ms.
         armature: added inertia, kg or kg m2.
         pitch: pitch of a screw, m per turn.
         detents: ridges that the joint has to overcome.
@@ -100,6 +102,7 @@ class LinkJoint(Config):
     start: _JointPosition = 0.0
     damping: _Damping = 0.0
     friction: _JointEffort = 0.0
+    stiff_friction: Annotated[bool, Field(exclude_if=lambda stiff: not stiff)] = False
     armature: Annotated[FiniteFloat, QuantityBounds("kg or kg m2", 0, 100)] = 0.0
     pitch: Annotated[FiniteFloat, QuantityBounds("m", -0.1, 0.1)] | None = None
     detents: tuple[Detent, ...] = ()

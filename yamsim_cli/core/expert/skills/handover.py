@@ -78,6 +78,7 @@ class Handover(Skill):
     other.
     """
 
+    TYPICAL_SECONDS: ClassVar[float] = 4.7
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = True
     LEAVES_OBJECT_HELD: ClassVar[bool | None] = True

@@ -26,6 +26,7 @@ _LIFT_SPEED = 0.10  # m/s
 class BimanualLift(Skill):
     """Grasp an object at two places, one with each hand, and lift it level, `by` m."""
 
+    TYPICAL_SECONDS: ClassVar[float] = 3.7
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
     LEAVES_OBJECT_HELD: ClassVar[bool | None] = True

@@ -10,6 +10,7 @@ from pydantic import Field, FiniteFloat
 from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
 from ...config.objects.articulation import Link
+from ...config.program_task import ProgramTask
 from ...geometry.se3 import Array, invert_pose, pose, rotation_from_vector
 from .common_motions import CLOSING_TICKS, park_free_hands, release_and_retreat, rest_segment
 from .grasp_candidates import DEFAULT_FINGER_CLEARANCE
@@ -35,6 +36,10 @@ class Operate(Skill):
     joint: str
     to: Annotated[FiniteFloat, Field(ge=0, le=1)]
     arm: ArmSelector = "any"
+
+    def task_fault(self, task: ProgramTask) -> tuple[str, str] | None:
+        """Return why an object has no part `joint` with a handle."""
+        return missing_part(task, self.thing, self.joint)
 
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
@@ -119,3 +124,13 @@ def _can_follow_path(hand: Hand, start: Array, pose_at: Callable[[float], Array]
     for share in (0.0, 0.25, 0.5, 0.75, 1.0):
         joints = None if joints is None else hand.solve_ik(pose_at(share), (joints,), WAYPOINT_TOLERANCE)
     return joints is not None
+
+
+def missing_part(task: ProgramTask, role: str, joint: str) -> tuple[str, str] | None:
+    """Return a `Skill.task_fault` if one of a role's objects has no part `joint` with a handle."""
+    for item in task.possible_objects(role):
+        with_handles = [link.name for link in item.links if link.handles]
+        if joint not in with_handles:
+            known = ", ".join(with_handles) or "(none)"
+            return "joint", f"the {item.name} has no part {joint!r} with a handle; valid: {known}"
+    return None

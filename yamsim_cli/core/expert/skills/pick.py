@@ -43,6 +43,7 @@ class ReachableGrasp:
 class Pick(Skill):
     """Grasp an object and `lift` it (m), with an arm and a grasp that leave the next skills possible."""
 
+    TYPICAL_SECONDS: ClassVar[float] = 2.7
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
     LEAVES_OBJECT_HELD: ClassVar[bool | None] = True

@@ -54,6 +54,7 @@ class PlaceSkill(Skill):
             fingers come closer to the support than the planner allows, and for an object that must not fall.
     """
 
+    TYPICAL_SECONDS: ClassVar[float] = 3.0
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = True
     LEAVES_OBJECT_HELD: ClassVar[bool | None] = False

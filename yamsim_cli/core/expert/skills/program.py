@@ -1,15 +1,19 @@
 from __future__ import annotations
 
+import functools
+import itertools
 import math
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from pydantic import ValidationError
 
 from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
+from ...config.goals.world import TABLE
 from ...config.program_task import ProgramTask
 from ...errors import ConfigError, suggest_similar
 from ...files.documents.config_base import ConflictError
@@ -30,26 +34,25 @@ from .put_aside import PutAside, Regrasp, put_down_failed_object
 from .set_upright import SetUpright, TurnTowardsArms
 from .skill import Skill, find_holding_hand
 
-# The skills of programs, and the typical duration of each, s. A new skill is a module in this package, and an entry
-# here. Source: means of successful attempts at the shipped tasks. No shipped task has `push`, `turn` or `regrasp`;
-# their values are estimated from a reach and a motion, `place` and `handover`.
-_SKILLS_AND_SECONDS: Mapping[str, tuple[type[Skill], float]] = {
-    "pick": (Pick, 2.7),
-    "place": (Place, 3.0),
-    "insert": (Insert, 3.0),
-    "handover": (Handover, 4.7),
-    "put_aside": (PutAside, 3.0),
-    "push": (Push, 5.0),
-    "set_upright": (SetUpright, 7.0),
-    "turn": (TurnTowardsArms, 3.0),
-    "regrasp": (Regrasp, 9.4),
-    "operate": (Operate, 5.0),
-    "lift": (BimanualLift, 3.7),
-    "hang": (Hang, 5.0),
-    "fold": (Fold, 6.8),
-    "flatten": (Flatten, 7.0),
+# The skills of this package. A new skill is a module here, and an entry. `skill_names` has those of other packages too.
+SKILLS: Mapping[str, type[Skill]] = {
+    "pick": Pick,
+    "place": Place,
+    "insert": Insert,
+    "handover": Handover,
+    "put_aside": PutAside,
+    "push": Push,
+    "set_upright": SetUpright,
+    "turn": TurnTowardsArms,
+    "regrasp": Regrasp,
+    "operate": Operate,
+    "lift": BimanualLift,
+    "hang": Hang,
+    "fold": Fold,
+    "flatten": Flatten,
 }
-SKILLS: Mapping[str, type[Skill]] = {name: kind for name, (kind, _) in _SKILLS_AND_SECONDS.items()}
+#: Group of the entry points of skills in other packages: name in programs -> subclass of `Skill`.
+SKILL_GROUP = "yamsim.skills"
 
 # Key of a loop over the objects of a role: `each: {of: cup, do: [...]}`.
 _LOOP_KEY = "each"
@@ -85,48 +88,60 @@ def build_program(task: ProgramTask, roles: RoleAssignment) -> list[Skill]:
     Only unchecked configs, such as a dataset's, have invalid programs, which raise ConfigError.
     """
     try:
-        return parse_program(task.expert, roles)
+        return parse_program(task.expert, roles, tuple(task.regions))
     except ConflictError as error:
         raise ConfigError(f"task {task.name!r}: expert{format_key_path(error.paths[0])}: {error}") from error
 
 
 def parse_program(
-    steps: Sequence[Mapping[str, Any]], roles: RoleAssignment, path: tuple[str | int, ...] = ()
+    steps: Sequence[Mapping[str, Any]], roles: RoleAssignment, regions: Sequence[str] = ()
 ) -> list[Skill]:
     """Return the skills of a program, with loops unrolled. An invalid step raises ConflictError with its path.
 
     Args:
         steps: as in a task's YAML: each step has one key, a skill's name or `each`.
-        path: keys that lead to the steps in the config, for error messages.
+        regions: names of the task's regions, which steps may name like roles.
     """
-    return [skill for _, skill in parse_steps(steps, roles, path)]
+    return [skill for _, skill in parse_steps(steps, roles, (), regions)]
 
 
 def parse_steps(
-    steps: Sequence[Mapping[str, Any]], roles: RoleAssignment, path: tuple[str | int, ...] = ()
+    steps: Sequence[Mapping[str, Any]],
+    roles: RoleAssignment,
+    path: tuple[str | int, ...] = (),
+    regions: Sequence[str] = (),
 ) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
-    """Yield each skill of a program with its path in the config. Arguments as in `parse_program`."""
+    """Yield each skill of a program with its path in the config: `path`, and the keys below. See `parse_program`."""
+    known = {TABLE, *regions, *roles.objects_by_role, *itertools.chain.from_iterable(roles.objects_by_role.values())}
     for k, step in enumerate(steps):
-        yield from _read_step(step, roles, (*path, k), {})
+        yield from _read_step(step, roles, (*path, k), {}, known)
 
 
 def _read_step(
-    step: Mapping[str, Any], roles: RoleAssignment, path: tuple[str | int, ...], names: Mapping[str, str | int]
+    step: Mapping[str, Any],
+    roles: RoleAssignment,
+    path: tuple[str | int, ...],
+    names: Mapping[str, str | int],
+    known: Collection[str],
 ) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
     if len(step) != 1:
-        known = ", ".join((_LOOP_KEY, *SKILLS))
-        raise ConflictError(f"a step of a program has one key; give one of {known}", path)
+        keys = ", ".join((_LOOP_KEY, *skill_names()))
+        raise ConflictError(f"a step of a program has one key; give one of {keys}", path)
     key, given = next(iter(step.items()))
     if key == _LOOP_KEY:
-        yield from _unroll_loop(given, roles, (*path, key), names)
-    elif key not in SKILLS:
-        raise ConflictError(f"unknown skill {key!r}; {suggest_similar(key, [*SKILLS, _LOOP_KEY])}", (*path, key))
+        yield from _unroll_loop(given, roles, (*path, key), names, known)
+    elif key not in skill_names():
+        raise ConflictError(f"unknown skill {key!r}; {suggest_similar(key, [*skill_names(), _LOOP_KEY])}", (*path, key))
     else:
-        yield (*path, key), _read_skill(key, given, roles, (*path, key), names)
+        yield (*path, key), _read_skill(key, given, (*path, key), names, known)
 
 
 def _unroll_loop(
-    given: Any, roles: RoleAssignment, path: tuple[str | int, ...], names: Mapping[str, str | int]
+    given: Any,
+    roles: RoleAssignment,
+    path: tuple[str | int, ...],
+    names: Mapping[str, str | int],
+    known: Collection[str],
 ) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
     """Yield the steps of a loop, once for each object of a role.
 
@@ -157,28 +172,32 @@ def _unroll_loop(
     for number in range(skip, len(things)):
         inner = {**names, "it": things[number], "number": number} | ({"previous": things[number - 1]} if number else {})
         for k, step in enumerate(given["do"]):
-            yield from _read_step(step, roles, (*path, "do", k), inner)
+            yield from _read_step(step, roles, (*path, "do", k), inner, known)
 
 
 def _read_skill(
-    key: str, given: Any, roles: RoleAssignment, path: tuple[str | int, ...], names: Mapping[str, str | int]
+    key: str, given: Any, path: tuple[str | int, ...], names: Mapping[str, str | int], known: Collection[str]
 ) -> Skill:
+    try:
+        kind = skill_class(key)
+    except ImportError as error:
+        fault = f"the skill {key!r} cannot be imported: {error}; install its package again"
+        raise ConflictError(fault, path) from error
     if not isinstance(given, Mapping):
-        raise ConflictError(f"`{key}` must be a mapping with these keys: {', '.join(SKILLS[key].model_fields)}", path)
+        raise ConflictError(f"`{key}` must be a mapping with these keys: {', '.join(kind.model_fields)}", path)
     filled = {name: names.get(value, value) if isinstance(value, str) else value for name, value in given.items()}
     try:
-        skill = SKILLS[key].model_validate(filled)
+        skill = kind.model_validate(filled)
     except ValidationError as error:
         # A misspelt key is reported both as unknown and as missing. The unknown key comes first: it has a location.
         found = sorted(error.errors(include_url=False), key=lambda fault: fault["type"] == "missing")
         first = found[0]
         message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
         if first["type"] == "extra_forbidden":
-            message = f"unknown key; {suggest_similar(str(first['loc'][-1]), SKILLS[key].model_fields)}"
+            message = f"unknown key; {suggest_similar(str(first['loc'][-1]), kind.model_fields)}"
         elif first["type"] == "missing":
             message = "missing; add it"
         raise ConflictError(message, (*path, *first["loc"])) from error
-    known = {*roles.objects_by_role, *(name for things in roles.objects_by_role.values() for name in things), "table"}
     for argument, role in skill.roles():
         if role not in known:
             raise ConflictError(f"unknown role {role!r}; {suggest_similar(role, sorted(known))}", (*path, argument))
@@ -215,9 +234,29 @@ def run_program(
             number += 1
 
 
+def skill_names() -> tuple[str, ...]:
+    """Return the names of all skills in programs: those of this package, then those of entry points."""
+    return (*SKILLS, *_skill_entry_points())
+
+
+def skill_class(name: str) -> type[Skill]:
+    """Return the class of a skill. Raise KeyError for an unknown name, and ImportError if its module has a fault."""
+    return SKILLS.get(name) or _skill_entry_points()[name].load()
+
+
+@functools.cache
+def _skill_entry_points() -> Mapping[str, EntryPoint]:
+    return {one.name: one for one in entry_points(group=SKILL_GROUP) if one.name not in SKILLS}
+
+
 def skill_name(skill: Skill) -> str:
-    """Return the name of a skill in programs."""
-    return next((name for name, known in SKILLS.items() if type(skill) is known), type(skill).__name__.lower())
+    """Return the name of a skill in programs; for any other subclass of `Skill`, its class's name."""
+    kind = type(skill)
+    for name, own in SKILLS.items():
+        if kind is own:
+            return name
+    where = f"{kind.__module__}:{kind.__qualname__}"
+    return next((name for name, one in _skill_entry_points().items() if one.value == where), kind.__name__.lower())
 
 
 def _last_picked(program: Sequence[Skill]) -> str | None:
@@ -258,5 +297,4 @@ def typical_tick_count(task: ProgramTask) -> int:
 
 
 def _typical_seconds(skill: Skill) -> float:
-    (seconds,) = (seconds for kind, seconds in _SKILLS_AND_SECONDS.values() if type(skill) is kind)
-    return seconds * (_FOLD_IN_THIRDS_FACTOR if isinstance(skill, Fold) and skill.how == "thirds" else 1)
+    return skill.TYPICAL_SECONDS * (_FOLD_IN_THIRDS_FACTOR if isinstance(skill, Fold) and skill.how == "thirds" else 1)

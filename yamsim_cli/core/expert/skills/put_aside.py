@@ -94,6 +94,7 @@ def _lower_straight(context: PlanningContext, hand: Hand, thing: str) -> Iterato
 class Regrasp(Skill):
     """Put a held object down and pick it up again with `arm` and a grasp that leave the next skills possible."""
 
+    TYPICAL_SECONDS: ClassVar[float] = 9.4
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = True
     LEAVES_OBJECT_HELD: ClassVar[bool | None] = True

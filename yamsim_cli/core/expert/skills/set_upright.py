@@ -30,6 +30,7 @@ class SetUpright(PlaceSkill):
     the object.
     """
 
+    TYPICAL_SECONDS: ClassVar[float] = 7.0
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = None
 
     def run(

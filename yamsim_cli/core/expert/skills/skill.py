@@ -6,6 +6,7 @@ from typing import ClassVar, Literal
 
 from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
+from ...config.program_task import ProgramTask
 from ...files.documents.config_base import Config
 from ...geometry.se3 import Array
 from .hand import Hand
@@ -30,6 +31,9 @@ class Skill(Config):
     # Whether the skill manipulates cloth, else rigid objects; roles in `ROLES_OF_ANY_MATERIAL` may be either.
     HANDLES_CLOTH: ClassVar[bool] = False
     ROLES_OF_ANY_MATERIAL: ClassVar[tuple[str, ...]] = ()
+    # s, duration in a successful attempt, for estimates before a run. Source: means over the shipped tasks; 5 s is an
+    # estimate for skills that no shipped task has.
+    TYPICAL_SECONDS: ClassVar[float] = 5.0
 
     @abstractmethod
     def run(
@@ -65,6 +69,10 @@ class Skill(Config):
     def approximate_targets(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Sequence[Array]:
         """Return roughly where this skill would bring an object: points (2,) in `world`, m; empty if nowhere."""
         return ()
+
+    def task_fault(self, task: ProgramTask) -> tuple[str, str] | None:
+        """Return an argument, and why a task's objects do not suit it; None if nothing is known against them."""
+        return None
 
     def roles(self) -> tuple[tuple[str, str], ...]:
         """Return (argument, role) of all given arguments that name a role."""

@@ -52,6 +52,7 @@ class _PlannedPull:
 class Flatten(Skill):
     """Flatten cloth by pulls at its border, each with the flattest simulated result."""
 
+    TYPICAL_SECONDS: ClassVar[float] = 7.0
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
     HANDLES_CLOTH: ClassVar[bool] = True

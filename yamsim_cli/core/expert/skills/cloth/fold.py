@@ -26,6 +26,7 @@ class Fold(Skill):
     A partly folded cloth is folded further.
     """
 
+    TYPICAL_SECONDS: ClassVar[float] = 6.8
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
     HANDLES_CLOTH: ClassVar[bool] = True

@@ -3,16 +3,16 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 
-from yamsim_cli.core.expert.skills.cloth.cloth_motions import predict_cloth_points
-from yamsim_cli.core.expert.skills.cloth.point_grasps import (
+from ..core.expert.skills.cloth.cloth_motions import predict_cloth_points
+from ..core.expert.skills.cloth.point_grasps import (
     PointGrasp,
     PointPlacement,
     reachable_grasps,
     target_at_place,
 )
-from yamsim_cli.core.expert.skills.planning_context import PlanningContext
-from yamsim_cli.core.geometry.cloth_flattening import height_range
-from yamsim_cli.core.geometry.se3 import Array, rotation_z
+from ..core.expert.skills.planning_context import PlanningContext
+from ..core.geometry.cloth_flattening import height_range
+from ..core.geometry.se3 import Array, rotation_z
 
 SLIDE_SPEED = 0.2  # m/s
 

@@ -14,13 +14,14 @@ from pydantic import Field, FiniteFloat
 from ..core.attempt_data import FailureCause
 from ..core.config.goals.role_assignment import RoleAssignment
 from ..core.config.objects.articulation import Handle, Link
+from ..core.config.program_task import ProgramTask
 from ..core.expert.skills.common_motions import CLOSING_TICKS, park_hand, release_and_retreat
 from ..core.expert.skills.grasp_candidates import is_orientation_plausible
 from ..core.expert.skills.hand import WAYPOINT_TOLERANCE, Hand
+from ..core.expert.skills.operate import missing_part
 from ..core.expert.skills.planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from ..core.expert.skills.skill import Skill
 from ..core.geometry.se3 import Array, pose, rotation_from_vector, rotation_vector, rotation_z
-from .lids import LID
 
 _FORCE = 50.0  # N, asked of each finger. Source: I2RT's SDK limits grippers to 50 N per finger
 _APPROACH = 0.04  # m, length of the straight approach to a handle
@@ -41,6 +42,7 @@ _MIN_TURN = math.radians(25)  # rad, shortest turn of a hand that is tried
 _MIN_GAIN = 0.1  # share of the hand's turn by which the lid has to turn; else it slips between the fingers
 _MAX_TURNS = 14  # grasps of a screw lid
 _FORCE_STEP, _MAX_PULL = 5.0, 30.0  # N, of pulls at a snap lid, each of which is stronger; pads slip above 30 N
+_HOLD_SECONDS = 0.6  # s, for which a lid is held up at the end; goals have hold times of up to 0.5 s
 _DIFFERENCE = 1e-5  # rad, of the joints between two poses whose difference gives a Jacobian
 
 
@@ -60,15 +62,23 @@ class _Reach:
 
 
 class OpenLid(Skill):
-    """Open the lid of a container until its joint is open by the share `to`.
+    """Open the lid of a container, the part `joint`, until its joint is open by the share `to`.
 
     One hand grasps a handle of the container and steadies it. The other hand grasps a handle of the lid from above. It
-    turns a screw lid, several times if needed, and pulls any other lid up.
+    turns a screw lid, several times if needed, and pulls any other lid up. A lid that slides up stays in the hand.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     thing: str
+    joint: str = "lid"
     to: Annotated[FiniteFloat, Field(ge=0, le=1)] = 0.8
+
+    def task_fault(self, task: ProgramTask) -> tuple[str, str] | None:
+        """Return why an object has no lid with a handle, or no handle to steady it."""
+        for item in task.possible_objects(self.thing):
+            if not item.handles:
+                return "thing", f"the {item.name} has no handle at which a hand could steady it; add one to `handles`"
+        return missing_part(task, self.thing, self.joint)
 
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
@@ -77,7 +87,7 @@ class OpenLid(Skill):
         thing = roles.object_of(self.thing)
         if self._is_open(context, thing):
             return
-        link = next(link for link in context.object_configs[thing].links if link.name == LID)
+        link = next(link for link in context.object_configs[thing].links if link.name == self.joint)
         if link.joint.type == "screw":
             steady, grip, turn = self._find_turn(context, thing, link)
         else:
@@ -89,7 +99,11 @@ class OpenLid(Skill):
             yield from self._unscrew(context, thing, link, grip, steady, turn)
         else:
             yield from self._pull(context, thing, grip, steady)
-        opened = context.world.joint_opening(thing, LID)
+        opened = context.world.joint_opening(thing, self.joint)
+        if opened >= self.to and link.joint.type == "slide":
+            # A lid that is let go would fall back onto its container.
+            yield context.wait_segment(round(_HOLD_SECONDS / context.tick))
+            return
         for reach in (grip, steady):
             yield from release_and_retreat(context, reach.hand, _CLEARANCE)
             yield from park_hand(context, reach.hand)
@@ -99,7 +113,7 @@ class OpenLid(Skill):
             )
 
     def _is_open(self, context: PlanningContext, thing: str) -> bool:
-        return context.world.joint_opening(thing, LID) >= self.to
+        return context.world.joint_opening(thing, self.joint) >= self.to
 
     def _find_pull(self, context: PlanningContext, thing: str, link: Link) -> tuple[_Reach, _Reach]:
         """Return grasps of the container and of its lid that leave both hands room.
@@ -107,7 +121,7 @@ class OpenLid(Skill):
         A lid that is pulled near the hand that steadies tips the container least. Among such grasps, the first handles
         of the container are preferred.
         """
-        T_lid, T_base = context.world.part_pose(thing, LID), context.world.pose(thing)
+        T_lid, T_base = context.world.part_pose(thing, self.joint), context.world.pose(thing)
         handles = context.object_configs[thing].handles
         pairs: list[tuple[int, int, _Reach, _Reach]] = []
         fault = "no two arms reach it and its lid without contact"
@@ -125,7 +139,7 @@ class OpenLid(Skill):
 
     def _find_turn(self, context: PlanningContext, thing: str, link: Link) -> tuple[_Reach, _Reach, float]:
         """Return grasps of the container and of its lid that leave both hands room, and the angle of a turn, rad."""
-        T_lid, T_base = context.world.part_pose(thing, LID), context.world.pose(thing)
+        T_lid, T_base = context.world.part_pose(thing, self.joint), context.world.pose(thing)
         best: tuple[float, _Reach, _Reach] | None = None
         fault = "no two arms reach it and its lid without contact"
         for opener, steadier in itertools.permutations(context.free_hands("any"), 2):
@@ -155,7 +169,7 @@ class OpenLid(Skill):
         relaxed = steady.hand.joints.copy()
         firm = relaxed + _deflection(steady.hand, relaxed, np.zeros(3), -torque)
         for _ in range(_MAX_TURNS):
-            before = context.world.joint_opening(thing, LID) * whole
+            before = context.world.joint_opening(thing, self.joint) * whole
             yield _close_fingers(context, grip)
             # The lid lags behind the hand by a little.
             angle = min(turn, ((self.to + 0.05) * whole - before) * 1.05)
@@ -163,7 +177,7 @@ class OpenLid(Skill):
             path = _turn_path(context, grip, (0.0, angle), (rise, higher), _FORWARD_STEPS, torque)
             braced = np.linspace(relaxed, firm, CLOSING_TICKS + 1)
             yield context.make_segment({hand: path, steady.hand: braced})
-            gained = context.world.joint_opening(thing, LID) * whole - before
+            gained = context.world.joint_opening(thing, self.joint) * whole - before
             if self._is_open(context, thing) or gained < _MIN_GAIN * angle:
                 return
             yield context.make_segment(

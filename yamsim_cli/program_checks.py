@@ -7,27 +7,27 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from ...config.goals.goal_consistency import find_contradiction
-from ...config.goals.predicates import HandedOver, Hung, On, Predicate, WasHandedOver
-from ...config.goals.role_assignment import RoleAssignment
-from ...config.goals.world import TABLE
-from ...config.objects.object_config import ObjectConfig
-from ...config.program_task import ProgramTask
-from ...config.recording import RecordConfig, check_fingers
-from ...files.documents.config_base import Config, ConflictError
-from ...geometry.cloth_folding import fold_plans
-from ...geometry.se3 import Array
-from ...scene.arm_model import kinematic_model
-from .cloth.fold import Fold
-from .handover import Handover
-from .hang import Hang
-from .lift import BimanualLift
-from .operate import Operate
-from .pick import Pick
-from .place import Place
-from .program import parse_program, parse_steps
-from .push import Push
-from .skill import Skill
+from .core.config.goals.goal_consistency import find_contradiction
+from .core.config.goals.predicate import Predicate
+from .core.config.goals.predicates import HandedOver, Hung, On, WasHandedOver
+from .core.config.goals.role_assignment import RoleAssignment
+from .core.config.goals.world import TABLE
+from .core.config.objects.object_config import ObjectConfig
+from .core.config.program_task import ProgramTask
+from .core.config.recording import RecordConfig, check_fingers
+from .core.expert.skills.cloth.fold import Fold
+from .core.expert.skills.handover import Handover
+from .core.expert.skills.hang import Hang
+from .core.expert.skills.lift import BimanualLift
+from .core.expert.skills.pick import Pick
+from .core.expert.skills.place import Place
+from .core.expert.skills.program import build_program, parse_steps
+from .core.expert.skills.push import Push
+from .core.expert.skills.skill import Skill
+from .core.files.documents.config_base import Config, ConflictError
+from .core.geometry.cloth_folding import fold_plans
+from .core.geometry.se3 import Array
+from .core.scene.arm_model import kinematic_model
 
 # How a cloth's grid has to be divided for each fold that needs more than a grid; part of an error message.
 _FOLD_GRID_REQUIREMENTS = {
@@ -65,7 +65,7 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
     roles = task.typical_roles
     arms = len(sides) if sides is not None else 2 if task.arms == "all" else 1
     held: set[str] = set()
-    for path, skill in parse_steps(task.expert, roles, ("expert",)):
+    for path, skill in parse_steps(task.expert, roles, ("expert",), tuple(task.regions)):
         thing = roles.object_of(skill.roles()[0][1])
         _check_arms(skill, sides, arms, path)
         if skill.REQUIRES_HELD_OBJECT and thing not in held:
@@ -75,10 +75,10 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
             raise ConflictError(f"no hand is free for the {thing}; put the {others} down first", path)
         if skill.LEAVES_OBJECT_HELD is not None:
             held = held | {thing} if skill.LEAVES_OBJECT_HELD else held - {thing}
-        if isinstance(skill, Operate):
-            _check_part(task, roles, skill, path)
+        if fault := skill.task_fault(task):
+            raise ConflictError(fault[1], (*path, fault[0]))
         if isinstance(skill, Hang):
-            _check_hung(task, roles, Hung(thing=skill.thing, onto=skill.onto), path)
+            _check_hung(task, Hung(thing=skill.thing, onto=skill.onto), path)
         for argument, role in skill.roles():
             if task.may_be_cloth(role) != skill.HANDLES_CLOTH and argument not in skill.ROLES_OF_ANY_MATERIAL:
                 problem = (
@@ -95,7 +95,7 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
         raise ConflictError(found[1], ("goal", *found[0]))
     for path, predicate in task.goal.predicates():
         if isinstance(predicate, Hung):
-            _check_hung(task, roles, predicate, ("goal", *path))
+            _check_hung(task, predicate, ("goal", *path))
 
 
 def _check_arms(skill: Skill, sides: Sequence[str] | None, arms: int, path: tuple[str | int, ...]) -> None:
@@ -126,17 +126,6 @@ def _check_fold(task: ProgramTask, roles: RoleAssignment, skill: Fold, arms: int
             )
 
 
-def _check_part(task: ProgramTask, roles: RoleAssignment, skill: Operate, path: tuple[str | int, ...]) -> None:
-    items = {item.name: item for item in task.objects}
-    item = items[roles.config_names[roles.object_of(skill.thing)]]
-    with_handles = [link.name for link in item.links if link.handles]
-    if skill.joint not in with_handles:
-        known = ", ".join(with_handles) or "(none)"
-        raise ConflictError(
-            f"the {item.name} has no part {skill.joint!r} with a handle; valid: {known}", (*path, "joint")
-        )
-
-
 def _check_support(task: ProgramTask, roles: RoleAssignment, skill: Place, path: tuple[str | int, ...]) -> None:
     role = next(name for name in task.things if skill.on in (name, *roles.objects_of(name)))
     for k, item in enumerate(task.things[role].of):
@@ -148,21 +137,17 @@ def _check_support(task: ProgramTask, roles: RoleAssignment, skill: Place, path:
             )
 
 
-def _check_hung(task: ProgramTask, roles: RoleAssignment, hung: Hung, path: tuple[str | int, ...]) -> None:
+def _check_hung(task: ProgramTask, hung: Hung, path: tuple[str | int, ...]) -> None:
     for argument, role, handle in (("thing", hung.thing, hung.eye), ("onto", hung.onto, hung.peg)):
-        for item in _candidate_objects(task, roles, role):
+        for item in task.possible_objects(role):
             if handle not in (names := [known_handle.name for known_handle in item.handles]):
                 known = ", ".join(names) or "(none)"
                 raise ConflictError(f"the {item.name} has no handle {handle!r}; valid: {known}", (*path, argument))
 
 
-def _candidate_objects(task: ProgramTask, roles: RoleAssignment, role: str) -> tuple[ObjectConfig, ...]:
-    return next(player.of for name, player in task.things.items() if role in (name, *roles.objects_of(name)))
-
-
 def _check_openings(config: RecordConfig, task: ProgramTask) -> None:
     roles = task.typical_roles
-    picked = {skill.thing for _, skill in parse_steps(task.expert, roles) if isinstance(skill, Pick)}
+    picked = {skill.thing for skill in build_program(task, roles) if isinstance(skill, Pick)}
     items: dict[tuple[str | int, ...], ObjectConfig] = {
         ("task", "things", role, "of", k): item
         for role, player in task.things.items()
@@ -194,7 +179,7 @@ def _check_places(config: RecordConfig, task: ProgramTask) -> None:
     """Check that each point on the table that a step names lies within the length of some arm."""
     arms = _arm_positions_and_reaches(config)
     longest = max(length for _, length in arms)
-    for path, skill in parse_steps(task.expert, task.typical_roles, ("expert",)):
+    for path, skill in parse_steps(task.expert, task.typical_roles, ("expert",), tuple(task.regions)):
         key, place = _named_place(skill)
         if place is None or any(float(np.linalg.norm(place - base)) <= length for base, length in arms):
             continue
@@ -232,7 +217,7 @@ def _arm_length(model: mujoco.MjModel) -> float:
 def program_contradiction(task: ProgramTask) -> str | None:
     """Return how a task's program contradicts its goal; None if no contradiction is known."""
     roles = task.typical_roles
-    program = parse_program(task.expert, roles)
+    program = build_program(task, roles)
     held, moved, handed_over = set[str](), set[str](), set[str]()
     for skill in program:
         things = {thing for _, role in skill.roles() for thing in roles.objects_of(role)}

@@ -8,9 +8,10 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from pydantic import Field
 
 from ..core.attempt_data import FailureCause
 from ..core.config.goals.role_assignment import RoleAssignment
@@ -65,12 +66,12 @@ _LONG_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))  # r
 
 
 class PlaceInCompartment(PlaceSkill):
-    """Place a long object along a compartment, beside objects of the role `beside` if there is room, else on them."""
+    """Place a long object along a compartment, beside objects of the roles `beside` if there is room, else on them."""
 
-    ROLES: ClassVar[tuple[str, ...]] = ("thing", "into", "beside")
+    ROLES: ClassVar[tuple[str, ...]] = ("thing", "into")
     LOWERING_SPEED: ClassVar[float] = 0.25
     into: str
-    beside: str
+    beside: tuple[str, ...]
 
     def support_name(self, roles: RoleAssignment) -> str:
         """Return the name of the compartment."""
@@ -81,7 +82,7 @@ class PlaceInCompartment(PlaceSkill):
         world, into, local_box = context.world, roles.object_of(self.into), context.world.local_box(thing)
         others = [
             footprint_corners(world.local_box(name), world.pose(name))
-            for name in roles.objects_of(self.beside)
+            for name in itertools.chain.from_iterable(map(roles.objects_of, self.beside))
             if name != thing
         ]
         free, occupied = list[Array](), list[tuple[float, Array]]()
@@ -331,11 +332,17 @@ def _flat_press_points(context: PlanningContext, thing: str, away: Array) -> lis
 
 
 class Sort(Skill):
-    """Put each object into the compartment of its kind, `into`, unless it is there."""
+    """Put the objects of each role into the compartment `into[role]`, unless they are there."""
 
-    ROLES: ClassVar[tuple[str, ...]] = ("things",)
-    things: str
-    into: Mapping[str, str]
+    ROLES: ClassVar[tuple[str, ...]] = ()
+    REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
+    TYPICAL_SECONDS: ClassVar[float] = 45.0
+    into: Annotated[Mapping[str, str], Field(min_length=1)]
+
+    def roles(self) -> tuple[tuple[str, str], ...]:
+        """Return (argument, role) of all objects and compartments."""
+        pairs = ((f"into.{role}", name) for role, region in self.into.items() for name in (role, region))
+        return tuple(pairs)
 
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
@@ -359,6 +366,10 @@ class Sort(Skill):
                 # A try without parked arms does not count: one arm may have blocked the other.
                 tries[name] = tries.get(name, 0) + parked
 
+    def _compartments(self, roles: RoleAssignment) -> dict[str, str]:
+        """Return object -> name of its compartment."""
+        return {name: region for role, region in self.into.items() for name in roles.objects_of(role)}
+
     def _in_tray(self, world: SimWorld, name: str) -> bool:
         return any(world.volume_fraction_inside(name, compartment) > 0.5 for compartment in self.into.values())
 
@@ -368,8 +379,8 @@ class Sort(Skill):
         """
         names = [
             name
-            for name in roles.objects_of(self.things)
-            if world.volume_fraction_inside(name, self.into[roles.config_names[name]]) < _MIN_SHARE_INSIDE
+            for name, region in self._compartments(roles).items()
+            if world.volume_fraction_inside(name, region) < _MIN_SHARE_INSIDE
         ]
         seen = {name: footprint_corners(world.local_box(name), world.pose(name)) for name in names}
 
@@ -391,7 +402,7 @@ class Sort(Skill):
         it beside the tray; 4 by a handover.
         """
         pick = PickNarrowObject(thing=name, lift=_LIFT_HEIGHT)
-        put = PlaceInCompartment(thing=name, into=self.into[roles.config_names[name]], beside=self.things)
+        put = PlaceInCompartment(thing=name, into=self._compartments(roles)[name], beside=tuple(self.into))
         if number == 2:
             with suppress(SkillFailedError):
                 yield from Slide(thing=name).run(context, roles, (pick,))

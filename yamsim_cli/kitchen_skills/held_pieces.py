@@ -23,7 +23,8 @@ class LoosePieces:
     """
 
     def __init__(self, context: PlanningContext, filled: str, holder: str | None = None) -> None:
-        self._context, self._world, self._holder = context, context.world, holder or filled
+        self._context, self._world = context, context.world
+        self._filled, self._holder = filled, holder or filled
         self._empty = context.object_configs[self._holder]
         model, prefix = context.model, piece_name_prefix(filled)
         self._bodies = np.array([k for k in range(model.nbody) if model.body(k).name.startswith(prefix)], dtype=int)
@@ -62,7 +63,7 @@ class LoosePieces:
 
     def grams_in(self, container: str) -> float:
         """Return the mass of the pieces whose centres are in a container's interior, g."""
-        return self.grams(self._world.points_inside(container, self.centres))
+        return self._world.grams_inside(self._filled, container)
 
     @property
     def left_share(self) -> float:

@@ -1,4 +1,4 @@
-"""Fold cloth until its bounding box, seen from above, is as small as KitchenBench requires."""
+"""Fold cloth until its bounding box, seen from above, is small enough."""
 
 from __future__ import annotations
 
@@ -6,26 +6,26 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
-from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
-from kitchenbench.sim.success import FOLD_RATIO_PER_FOLD
+from pydantic import Field, FiniteFloat, model_validator
 
 from ..core.attempt_data import FailureCause
 from ..core.config.goals.role_assignment import RoleAssignment
-from ..core.config.objects.cloth import Cloth
 from ..core.expert.skills.cloth.cloth_motions import carry_points
 from ..core.expert.skills.cloth.flatten import flatten_cloth
 from ..core.expert.skills.cloth.point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_at_place
 from ..core.expert.skills.common_motions import open_and_park_hands, unparked_hands
 from ..core.expert.skills.planning_context import MotionSegment, PlanningContext, SkillFailedError
 from ..core.expert.skills.skill import Skill
+from ..core.files.documents.units import QuantityBounds, Share
 from ..core.geometry.cloth_flattening import Point
 from ..core.geometry.se3 import Array
-from .object_poses import T_in_world
+from ..core.sim.sim_world import SimWorld
 from .slide_grasps import SLIDE_SPEED, find_slide_grasps
 
+_LIMIT_MARGIN = 0.98  # share of the required area that the skill aims at
 _AREA_MARGIN = 0.96  # predicted area as a share of the required one, at which a fold suffices
 
 _MIN_CREASE, _MAX_CREASE = 0.15, 0.52  # from a side or corner, as shares of the cloth
@@ -63,6 +63,7 @@ class FoldSmall(Skill):
     Attributes:
         thing: a role that cloth plays.
         area: largest area of the box along the axes of `world`, seen from above, m2.
+        share: instead of `area`, its largest share of the box's area at the start of the attempt.
         thirds: whether the first third is folded first, and the cloth is then pulled nearer for the last third.
         crumpled: whether the cloth is flattened first, and slid to where hands reach a sufficient fold.
     """
@@ -70,15 +71,36 @@ class FoldSmall(Skill):
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     HANDLES_CLOTH: ClassVar[bool] = True
     thing: str
-    area: float
+    area: Annotated[FiniteFloat, QuantityBounds("m2", 1e-4, 4)] | None = None
+    share: Annotated[Share, Field(gt=0)] | None = None
     thirds: bool = False
     crumpled: bool = False
+
+    @model_validator(mode="after")
+    def _exactly_one_given(self) -> FoldSmall:
+        if (self.area is None) == (self.share is None):
+            raise ValueError("give either `area` or `share`")
+        return self
+
+    def largest_area(self, world: SimWorld, thing: str) -> float:
+        """Return the largest area of the box around the cloth's points at which the skill ends, m2.
+
+        It is 2 % less than required; the required box also includes the cloth's thickness.
+        """
+        required = self.area
+        if required is None:
+            assert self.share is not None  # checked with the config
+            low, high = world.start_aabb(thing)
+            required = self.share * float(np.prod((high - low)[:2]))
+        side = math.sqrt(required) - world.cloth_addresses(thing).thickness
+        return float(side**2) * _LIMIT_MARGIN
 
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
         """Yield the motions that flatten, slide and fold the cloth; see `Skill.run`."""
         thing = roles.object_of(self.thing)
+        limit = self.largest_area(context.world, thing)
         if self.crumpled:
             yield from flatten_cloth(context, thing, _FLAT_LAYERS, _FLAT_DISPLACEMENT, _FIRST_PULLS)
         folds = slides = 0
@@ -86,22 +108,22 @@ class FoldSmall(Skill):
         while folds < _MAX_FOLDS:
             points = context.world.cloth_points(thing)
             before = bounding_box_area(points)
-            if before <= self.area:
+            if before <= limit:
                 return
             if self.thirds and folds == 1 and (pulled := _pull_nearer_grasps(context, thing)):
                 yield from carry_points(context, thing, pulled, arch=0.0, speed=_SPEED)
                 points = context.world.cloth_points(thing)
             candidates = [
-                fold for fold in self._sorted_folds(points, first=not folds) if fold.grasped_points not in missed
+                fold for fold in self._sorted_folds(points, limit, first=not folds) if fold.grasped_points not in missed
             ]
             fold, grasps = _first_reachable_fold(context, thing, points, candidates)
-            if self.crumpled and not folds and slides < _MAX_CRUMPLED_SLIDES and not self._is_sufficient(fold):
+            if self.crumpled and not folds and slides < _MAX_CRUMPLED_SLIDES and not _is_sufficient(fold, limit):
                 if unparked_hands(context):
                     # Hands that are still over the cloth block each other.
                     yield from open_and_park_hands(context)
                     continue
                 slide = find_slide_grasps(
-                    context, thing, _bounding_box_turns(points), partial(self._is_foldable, context, thing)
+                    context, thing, _bounding_box_turns(points), partial(self._is_foldable, context, thing, limit)
                 )
                 if slide is not None:
                     yield from carry_points(context, thing, slide, arch=0.0, speed=SLIDE_SPEED)
@@ -119,12 +141,12 @@ class FoldSmall(Skill):
                 yield from open_and_park_hands(context)
                 continue
             folds += 1
-        if bounding_box_area(context.world.cloth_points(thing)) > self.area:
+        if bounding_box_area(context.world.cloth_points(thing)) > limit:
             raise SkillFailedError(
                 FailureCause.UNREACHABLE, f"no hands reach points that would make the {thing} smaller"
             )
 
-    def _sorted_folds(self, points: Array, first: bool) -> list[CreaseFold]:
+    def _sorted_folds(self, points: Array, limit: float, first: bool) -> list[CreaseFold]:
         """Return folds, the best first: by sufficient area, few layers, whole sides, and small area."""
         before = bounding_box_area(points)
         folds = [fold for fold in possible_folds(points, first) if fold.area < (1 - _MIN_REDUCTION) * before]
@@ -132,17 +154,18 @@ class FoldSmall(Skill):
             folds = [fold for fold in folds if fold.folded_share < _MAX_FOLDED_SHARE and len(fold.corners) > 1]
 
         def fold_rank(fold: CreaseFold) -> tuple[bool, int, bool, int, float]:
-            return not self._is_sufficient(fold), fold.layers, len(fold.corners) < 2, fold.points_beneath, fold.area
+            return not _is_sufficient(fold, limit), fold.layers, len(fold.corners) < 2, fold.points_beneath, fold.area
 
         return sorted(folds, key=fold_rank)
 
-    def _is_sufficient(self, fold: CreaseFold | None) -> bool:
-        return fold is not None and fold.area <= _AREA_MARGIN * self.area
-
-    def _is_foldable(self, context: PlanningContext, thing: str, points: Array) -> bool:
+    def _is_foldable(self, context: PlanningContext, thing: str, limit: float, points: Array) -> bool:
         """Whether hands reach a sufficient fold of a cloth with points (along y, along x, 3), m."""
-        folds = [fold for fold in self._sorted_folds(points, first=True) if self._is_sufficient(fold)]
+        folds = [fold for fold in self._sorted_folds(points, limit, first=True) if _is_sufficient(fold, limit)]
         return _first_reachable_fold(context, thing, points, folds) != (None, None)
+
+
+def _is_sufficient(fold: CreaseFold | None, limit: float) -> bool:
+    return fold is not None and fold.area <= _AREA_MARGIN * limit
 
 
 def _first_reachable_fold(
@@ -273,19 +296,3 @@ def _sheet_heading(points: Array) -> float:
     sides = np.concatenate([np.diff(points, axis=k)[..., :2].reshape(-1, 2) for k in (0, 1)])
     whole = (sides[:, 0] + 1j * sides[:, 1]) ** 4
     return float(np.angle((whole / np.maximum(np.abs(whole), 1e-12) ** 0.5).sum()) / 4)
-
-
-def required_area(blueprint: SceneBlueprint, item: SceneObject, cloth: Cloth) -> float:
-    """Return the largest bounding box that KitchenBench's checker accepts, less 2 %, m2."""
-    given = blueprint.success_params
-    if given.get("baseline") == "nominal":
-        asset = ASSETS[item.asset]
-        whole = asset.footprint_w_cm * asset.footprint_h_cm / 1e4
-    else:
-        R = np.abs(T_in_world(item, blueprint)[:2, :2])
-        whole = float(np.prod(R @ np.array(cloth.size) + 2 * cloth.half_thickness))
-    folds, slack = int(float(given.get("fold_count", 1))), float(given.get("slack", 0.0))
-    required = FOLD_RATIO_PER_FOLD**folds * (1 + slack) * whole
-    # The checker includes the cloth's thickness on all sides.
-    side = math.sqrt(required) - 2 * cloth.half_thickness
-    return float(side**2) * 0.98

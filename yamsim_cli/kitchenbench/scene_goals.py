@@ -1,0 +1,64 @@
+"""Goals of yamsim tasks that are equivalent to KitchenBench's checkers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from kitchenbench.sim.blueprint import SceneBlueprint
+from kitchenbench.sim.success import (
+    CONTACT_TOL_M,
+    CONTAIN_FRACTION,
+    FOLD_MAX_HEIGHT_M,
+    OPEN_FRACTION,
+    SCOOP_TOL_G,
+    SEAL_TOL_M,
+    TRANSFER_FRACTION,
+)
+
+from .asset_configs import FOLD_GOAL_KIND
+from .lids import LID, OPEN, SEAL
+from .pasta import POUR, SCOOP
+from .skill_programs import compartments, fold_limit
+
+_HOLD_SECONDS = 0.5  # s; KitchenBench's checkers require a single state
+
+
+def goal_data(blueprint: SceneBlueprint) -> dict[str, Any]:
+    """Return a scene's goal, as the data of a task's YAML."""
+    return {"all": list(_clauses(blueprint)), "for_s": _HOLD_SECONDS}
+
+
+def _clauses(blueprint: SceneBlueprint) -> list[Mapping[str, Any]]:
+    roles = {role: names[0] for role, names in blueprint.roles.items()}
+    wanted = blueprint.success_params
+    match blueprint.target_kind:
+        case "place_on":
+            return [{"over": {"thing": roles["item"], "surface": roles["surface"], "gap": CONTACT_TOL_M}}]
+        case "stack":
+            return [{"piled": {"things": list(blueprint.roles["stack"]), "gap": CONTACT_TOL_M}}]
+        case "place_in":
+            return [{"in": {"thing": roles["item"], "container": roles["rack"], "share": CONTAIN_FRACTION}}]
+        case "handoff":
+            return [{"handed_over": {"thing": roles["item"], "to": str(wanted.get("receiving_arm", "either"))}}]
+        case "sort":
+            return [
+                {"in": {"thing": name, "container": region, "share": CONTAIN_FRACTION}}
+                for name, region in compartments(blueprint).items()
+            ]
+        case kind if kind == FOLD_GOAL_KIND:
+            cloth = next(item for item in blueprint.objects if item.name == roles["cloth"])
+            limit = fold_limit(blueprint, cloth)
+            return [{"folded_small": {"thing": cloth.name, "height": FOLD_MAX_HEIGHT_M, **limit}}]
+        case kind if kind == OPEN:
+            return [{"open": {"thing": roles["container"], "joint": LID, "share": OPEN_FRACTION}}]
+        case kind if kind == SEAL:
+            return [{"over": {"thing": roles["lid"], "surface": roles["container"], "gap": SEAL_TOL_M}}]
+        case kind if kind == POUR:
+            least = TRANSFER_FRACTION * float(wanted["total_g"])
+            return [{"contains": {"container": roles["vessel"], "pieces_of": roles["source"], "least_g": least}}]
+        case kind if kind == SCOOP:
+            grams, slack = float(wanted["target_g"]), float(wanted.get("tol_g", SCOOP_TOL_G))
+            limits = {"least_g": max(grams - slack, 0.0), "most_g": grams + slack}
+            return [{"contains": {"container": roles["container"], "pieces_of": roles["substance"], **limits}}]
+    raise LookupError(f"scene {blueprint.scene_id!r}: goals of kind {blueprint.target_kind!r} have no equivalent")
