@@ -132,7 +132,7 @@ CONFINED = {
         "core.scene",
         "core.sim",
         "export",
-        "kitchenbench.lids",
+        "program_checks",
         "kitchenbench.scene_stepper",
         "match.station_renderer",
         "objects",
