@@ -2,13 +2,16 @@
 
 python -m tools.kitchenbench_pictures               # all tasks but `_LEFT_OUT`
 python -m tools.kitchenbench_pictures pour_pasta    # or some
+python -m tools.kitchenbench_pictures recorded      # images of a recorded episode
 """
 
 from __future__ import annotations
 
 import itertools
 import os
+import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +34,8 @@ _QUALITY = 85  # of the JPEG files
 _DISTANCE, _AZIMUTH, _ELEVATION = 0.95, 150.0, -25.0  # m and degrees, of the camera from the middle of the objects
 _ABOVE = 0.1  # m, above that middle, of the point that the camera looks at
 _SEED = 0
+_RECORDED, _RECORDED_SCENE = "recorded", "kitchenbench/pour_pasta/narrow-cup"  # name of the picture, and its scene
+_RECORDED_CAMERAS, _RECORDED_MOMENTS = ("top", "left"), (0.3, 0.6, 0.75, 1)  # cameras, and shares of the frames
 _REALIZATIONS = 2  # of each scene that are tried: all first ones, then all second ones
 
 
@@ -40,14 +45,37 @@ def main(names: list[str]) -> None:
     # What draws is settled before anything imports MuJoCo.
     opener.choose_gl_backend(opener.find_locations())
     _FOLDER.mkdir(exist_ok=True)
+    if names == [_RECORDED]:
+        _write(_RECORDED, recorded_strip())
+        return
     for name in names or sorted(tasks.TASK_FACTORIES.keys() - set(_LEFT_OUT)):
         strip = first_success(name)
         if strip is None:
             sys.stdout.write(f"{name}: the expert solves none of the first realizations\n")
             continue
-        file = _FOLDER / f"{name}.jpg"
-        cv2.imwrite(str(file), strip[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-        sys.stdout.write(f"{file}: {file.stat().st_size} bytes\n")
+        _write(name, strip)
+
+
+def _write(name: str, strip: Array) -> None:
+    file = _FOLDER / f"{name}.jpg"
+    cv2.imwrite(str(file), strip[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    sys.stdout.write(f"{file}: {file.stat().st_size} bytes\n")
+
+
+def recorded_strip() -> Array:
+    """Record an episode, and return images of two of its cameras (2 * height, 4 * width, 3)."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "yamsim_cli", "record", "--n", "1", "--seed", str(_SEED)]
+        subprocess.run([*command, "--task", _RECORDED_SCENE, "--out", f"{folder}/out"], check=True)
+        rows = []
+        for camera in _RECORDED_CAMERAS:
+            files = sorted(Path(folder, "out", "ep_000000", "rgb", camera).iterdir())
+            shown: list[Any] = [
+                cv2.imread(str(files[round(moment * (len(files) - 1))])) for moment in _RECORDED_MOMENTS
+            ]
+            rows.append(np.hstack([cv2.resize(one, _SIZE, interpolation=cv2.INTER_AREA) for one in shown]))
+    strip: Any = np.vstack(rows)[:, :, ::-1]
+    return strip  # type: ignore[no-any-return]
 
 
 def first_success(name: str) -> Array | None:

@@ -18,7 +18,6 @@ from .core.config.recording import RecordConfig, check_fingers
 from .core.expert.skills.cloth.fold import Fold
 from .core.expert.skills.handover import Handover
 from .core.expert.skills.hang import Hang
-from .core.expert.skills.lift import BimanualLift
 from .core.expert.skills.pick import Pick
 from .core.expert.skills.place import Place
 from .core.expert.skills.program import build_program, parse_steps
@@ -66,6 +65,8 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
     arms = len(sides) if sides is not None else 2 if task.arms == "all" else 1
     held: set[str] = set()
     for path, skill in parse_steps(task.expert, roles, ("expert",), tuple(task.regions)):
+        for argument, role in skill.roles():
+            task.check_argument(skill, argument, role, (*path, *argument.split(".")))
         thing = roles.object_of(skill.roles()[0][1])
         _check_arms(skill, sides, arms, path)
         if skill.REQUIRES_HELD_OBJECT and thing not in held:
@@ -90,7 +91,7 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
         if isinstance(skill, Place) and skill.on != TABLE:
             _check_support(task, roles, skill, path)
         if isinstance(skill, Fold):
-            _check_fold(task, roles, skill, arms, path)
+            _check_fold(task, skill, path)
     if (found := find_contradiction(task.goal)) is not None:
         raise ConflictError(found[1], ("goal", *found[0]))
     for path, predicate in task.goal.predicates():
@@ -99,7 +100,7 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
 
 
 def _check_arms(skill: Skill, sides: Sequence[str] | None, arms: int, path: tuple[str | int, ...]) -> None:
-    if isinstance(skill, Handover | BimanualLift) and arms < 2:
+    if arms < skill.hand_count:
         raise ConflictError(f"the step `{path[-1]}` needs two arms; use a rig with two arms, without `arms: one`", path)
     for argument in ("arm", "to"):
         named = getattr(skill, argument, None)
@@ -111,13 +112,8 @@ def _check_arms(skill: Skill, sides: Sequence[str] | None, arms: int, path: tupl
             )
 
 
-def _check_fold(task: ProgramTask, roles: RoleAssignment, skill: Fold, arms: int, path: tuple[str | int, ...]) -> None:
-    if arms < skill.hand_count:
-        raise ConflictError(
-            f"to fold cloth {skill.description} needs two arms; use a rig with two arms, or `diagonal`", path
-        )
-    thing = roles.object_of(skill.thing)
-    for item in next(one.of for role, one in task.things.items() if thing in roles.objects_of(role)):
+def _check_fold(task: ProgramTask, skill: Fold, path: tuple[str | int, ...]) -> None:
+    for item in task.possible_objects(skill.thing):
         if item.cloth is not None and not fold_plans(skill.how, *reversed(item.cloth.grid)):
             raise ConflictError(
                 f"the {item.name} cannot be folded {skill.description}: that needs "

@@ -114,7 +114,7 @@ def test_cutlery_has_places_in_its_compartment_and_beside_the_tray() -> None:
     try:
         bench, roles = planning.context, planning.simulator.roles
         assert roles is not None
-        put = PlaceInCompartment(thing="knife_1", into="compartment_knife", beside="sortable")
+        put = PlaceInCompartment(thing="knife_1", into="compartment_knife", beside=("sortable",))
         inside = put.goal_poses(bench, roles, "knife_1")
         assert (
             inside and bench.world.points_inside("compartment_knife", inside[0][None, :3, 3] + (0.0, 0.0, 0.01)).all()
@@ -169,7 +169,7 @@ def test_a_leaning_piece_gets_the_height_of_its_attitude() -> None:
         leaning = rotation_from_vector([0.0, math.radians(15.0), 0.0])
         bench.world.data.qpos[address + 3 : address + 7] = quat_from_rotation(leaning)
         mujoco.mj_kinematics(planning.simulator.scene.model, bench.world.data)
-        put = PlaceInCompartment(thing="knife_1", into="compartment_knife", beside="sortable")
+        put = PlaceInCompartment(thing="knife_1", into="compartment_knife", beside=("sortable",))
         for skill, onto in ((put, "compartment_knife"), (PutBesideTray(thing="knife_1"), "table")):
             goals = skill.goal_poses(bench, roles, "knife_1")
             upright = next(T for T in goals if T[2, 2] > 0.999)

@@ -9,6 +9,7 @@ import typer
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.flags.output_files import RenameExisting, VideoTrials
 from yamsim_cli.flags.session_options import ConfigOption, Json, Offline, Rig, Seed, Workers, session_opener
+from yamsim_cli.kitchen_scenes import resolve_scene_task
 from yamsim_cli.terminal.console import print_json, print_line, print_report, progress_bar
 from yamsim_cli.terminal.tables import ItemTable, print_item, print_items
 from yamsim_cli.terminal.trial_tables import film_with_progress, open_films
@@ -33,16 +34,21 @@ def list_tasks(json: Json = False) -> None:
 
 @app.command()
 def show(
-    name: Annotated[str, typer.Argument(help="A task's name or a YAML file.")],
+    name: Annotated[str, typer.Argument(help="A task's name, a YAML file, or `kitchenbench/TASK/INSTANCE`.")],
     json: Json = False,
 ) -> None:
     """Show one task: objects by role, their start ranges, instructions, skills and goal.
 
     Example: yamsim tasks show tower
     """
-    from yamsim_cli.task_validation.task_catalog import task_entry
+    from yamsim_cli.core.config.program_task import ProgramTask
+    from yamsim_cli.task_validation.task_catalog import describe_task, task_entry
 
-    print_item(task_entry(name, session_opener.find_locations()), json)
+    scene = resolve_scene_task(name)
+    if isinstance(scene, str):
+        print_item(task_entry(name, session_opener.find_locations()), json)
+    else:
+        print_item(describe_task(ProgramTask.model_validate(scene)), json)
 
 
 @app.command()

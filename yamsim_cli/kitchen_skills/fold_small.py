@@ -25,8 +25,8 @@ from ..core.geometry.se3 import Array
 from ..core.sim.sim_world import SimWorld
 from .slide_grasps import SLIDE_SPEED, find_slide_grasps
 
-_LIMIT_MARGIN = 0.98  # share of the required area that the skill aims at
-_AREA_MARGIN = 0.96  # predicted area as a share of the required one, at which a fold suffices
+_LIMIT_MARGIN = 0.98  # share of the goal's area that the skill aims at
+_AREA_MARGIN = 0.96  # predicted area as a share of the limit on the points' box, at which a fold suffices
 
 _MIN_CREASE, _MAX_CREASE = 0.15, 0.52  # from a side or corner, as shares of the cloth
 _MIN_LINE_DISTANCE = 0.008  # m, between lines of points across a crease
@@ -63,18 +63,24 @@ class FoldSmall(Skill):
     Attributes:
         thing: a role that cloth plays.
         area: largest area of the box along the axes of `world`, seen from above, m2.
-        share: instead of `area`, its largest share of the box's area at the start of the attempt.
+        share: instead of `area`, the largest area as a share of the box's area at the start of the attempt.
         thirds: whether the first third is folded first, and the cloth is then pulled nearer for the last third.
         crumpled: whether the cloth is flattened first, and slid to where hands reach a sufficient fold.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     HANDLES_CLOTH: ClassVar[bool] = True
+    REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
     thing: str
     area: Annotated[FiniteFloat, QuantityBounds("m2", 1e-4, 4)] | None = None
     share: Annotated[Share, Field(gt=0)] | None = None
     thirds: bool = False
     crumpled: bool = False
+
+    @property
+    def hand_count(self) -> int:
+        """Two: both hands act together."""
+        return 2
 
     @model_validator(mode="after")
     def _exactly_one_given(self) -> FoldSmall:
@@ -83,9 +89,10 @@ class FoldSmall(Skill):
         return self
 
     def largest_area(self, world: SimWorld, thing: str) -> float:
-        """Return the largest area of the box around the cloth's points at which the skill ends, m2.
+        """Return the largest area of the box around the cloth's points, m2, at which the skill ends.
 
-        It is 2 % less than required; the required box also includes the cloth's thickness.
+        The box of the goal has the cloth's thickness on all sides, which the box around the points lacks. The skill
+        aims at 2 % less.
         """
         required = self.area
         if required is None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.attempt_data import FailureCause
+from ..core.config.program_task import ProgramTask
 from ..core.expert.skills.planning_context import PlanningContext, SkillFailedError
 from ..core.geometry.se3 import Array
 from ..loose_pieces import piece_name_prefix
@@ -72,3 +75,19 @@ class LoosePieces:
 
     def _are_inside(self) -> NDArray[np.bool_]:
         return self._world.points_inside(self._holder, self.centres)
+
+
+def fault_of_pieces(task: ProgramTask, argument: str, role: str) -> tuple[str, str] | None:
+    """Return a `Skill.task_fault` if a role has no loose pieces."""
+    if task.things[task.role_of(role)].filled is not None:
+        return None
+    return argument, f"the {role} has no loose pieces; add `filled` to the role, or give another one"
+
+
+def fault_of_shape(task: ProgramTask, argument: str, role: str, families: Sequence[str]) -> tuple[str, str] | None:
+    """Return a `Skill.task_fault` if the `shape` of one of a role's objects has none of some families."""
+    for item in task.possible_objects(role):
+        if item.shape is None or item.shape.family not in families:
+            wanted = " or ".join(families)
+            return argument, f"the {item.name} is not suitable; give an object whose `shape` has the family {wanted}"
+    return None

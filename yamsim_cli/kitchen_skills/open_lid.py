@@ -65,16 +65,23 @@ class OpenLid(Skill):
     """Open the lid of a container, the part `joint`, until its joint is open by the share `to`.
 
     One hand grasps a handle of the container and steadies it. The other hand grasps a handle of the lid from above. It
-    turns a screw lid, several times if needed, and pulls any other lid up. A lid that slides up stays in the hand.
+    turns a screw lid, several times if needed, and pulls any other lid up. Both hands stay closed after a pull, because
+    a lid that is let go falls back. The skill is then the last one of a program.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
     thing: str
     joint: str = "lid"
     to: Annotated[FiniteFloat, Field(ge=0, le=1)] = 0.8
 
+    @property
+    def hand_count(self) -> int:
+        """Two: both hands act together."""
+        return 2
+
     def task_fault(self, task: ProgramTask) -> tuple[str, str] | None:
-        """Return why an object has no lid with a handle, or no handle to steady it."""
+        """Check that each object has a lid with a handle, and a handle at which a hand can steady it."""
         for item in task.possible_objects(self.thing):
             if not item.handles:
                 return "thing", f"the {item.name} has no handle at which a hand could steady it; add one to `handles`"

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.attempt_data import FailureCause
 from ..core.config.goals.role_assignment import RoleAssignment
-from ..core.config.objects.shapes import ContainerShape, VesselShape
+from ..core.config.program_task import ProgramTask
 from ..core.expert.planning.collision_checker import AttachedObject
 from ..core.expert.skills.hand import Hand
 from ..core.expert.skills.pick import Pick, ReachableGrasp, summarize_reasons
@@ -22,7 +22,7 @@ from ..core.expert.skills.planning_context import (
 )
 from ..core.expert.skills.skill import Skill, find_holding_hand
 from ..core.geometry.se3 import Array, invert_pose
-from .held_pieces import LoosePieces
+from .held_pieces import LoosePieces, fault_of_pieces, fault_of_shape
 from .tilting import (
     TICKS,
     HeldSource,
@@ -62,16 +62,24 @@ class Pour(Skill):
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "into")
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
+    TYPICAL_SECONDS: ClassVar[float] = 12.0
     LEAVES_OBJECT_HELD: ClassVar[bool | None] = True
     thing: str
     into: str
+
+    def task_fault(self, task: ProgramTask) -> tuple[str, str] | None:
+        """Check that the source has loose pieces, and that both objects have suitable shapes."""
+        return (
+            fault_of_pieces(task, "thing", self.thing)
+            or fault_of_shape(task, "thing", self.thing, ("vessel", "container"))
+            or fault_of_shape(task, "into", self.into, ("vessel",))
+        )
 
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
         """Do nothing if the source is empty already; see `Skill.run`."""
         thing, vessel = roles.object_of(self.thing), roles.object_of(self.into)
-        _require_shapes(context, thing, vessel)
         pieces = LoosePieces(context, thing)
         if pieces.left_share == 1.0:
             return
@@ -160,16 +168,6 @@ class Pour(Skill):
                 FailureCause.GOAL,
                 f"only {most:.0%} of the pieces left the source: {_MAX_TRIES} shakes in a row moved none",
             )
-
-
-def _require_shapes(context: PlanningContext, thing: str, vessel: str) -> None:
-    """Raise SkillFailedError unless the source is round or a container, and the vessel is round."""
-    for name, shapes, use in (
-        (thing, (VesselShape, ContainerShape), "poured from"),
-        (vessel, (VesselShape,), "poured into"),
-    ):
-        if not isinstance(context.object_configs[name].shape, shapes):
-            raise SkillFailedError(FailureCause.UNREACHABLE, f"the {name} has no shape that can be {use}")
 
 
 def _raise_touching_hands(context: PlanningContext) -> Iterator[MotionSegment]:

@@ -13,6 +13,7 @@ from pydantic import FiniteFloat
 from ..core.attempt_data import FailureCause
 from ..core.config.goals.role_assignment import RoleAssignment
 from ..core.config.goals.world import TABLE
+from ..core.config.program_task import ProgramTask
 from ..core.expert.planning.collision_checker import AttachedObject
 from ..core.expert.skills.common_motions import release_and_retreat, rest_segment
 from ..core.expert.skills.hand import Hand
@@ -21,7 +22,7 @@ from ..core.expert.skills.planning_context import MotionSegment, PlanningContext
 from ..core.expert.skills.skill import Skill, find_holding_hand
 from ..core.files.documents.units import QuantityBounds
 from ..core.geometry.se3 import Array, invert_pose, rotation_from_vector, rotation_vector
-from .held_pieces import LoosePieces
+from .held_pieces import LoosePieces, fault_of_pieces, fault_of_shape
 from .scoop_strokes import (
     ScoopTool,
     half_length,
@@ -90,11 +91,20 @@ class Scoop(Skill):
     ROLES: ClassVar[tuple[str, ...]] = ("tool", "source", "into")
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
     LEAVES_OBJECT_HELD: ClassVar[bool | None] = True
+    TYPICAL_SECONDS: ClassVar[float] = 16.0
     tool: str
     source: str
     into: str
     grams: Annotated[FiniteFloat, QuantityBounds("g", 0, 1000)]
     tolerance: Annotated[FiniteFloat, QuantityBounds("g", 0, 1000)]
+
+    def task_fault(self, task: ProgramTask) -> tuple[str, str] | None:
+        """Check that the source is a dish with loose pieces, and that the tool is cutlery or a cup."""
+        return (
+            fault_of_pieces(task, "source", self.source)
+            or fault_of_shape(task, "source", self.source, ("container",))
+            or fault_of_shape(task, "tool", self.tool, ("cutlery", "vessel"))
+        )
 
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]

@@ -16,6 +16,7 @@ from pydantic import Field
 from ..core.attempt_data import FailureCause
 from ..core.config.goals.role_assignment import RoleAssignment
 from ..core.config.goals.world import TABLE
+from ..core.config.program_task import ProgramTask
 from ..core.expert.skills.common_motions import open_and_park_hands, park_free_hands, release_and_retreat, rest_segment
 from ..core.expert.skills.grasp_candidates import is_orientation_plausible
 from ..core.expert.skills.hand import WAYPOINT_TOLERANCE, Hand, HeldObject
@@ -332,17 +333,28 @@ def _flat_press_points(context: PlanningContext, thing: str, away: Array) -> lis
 
 
 class Sort(Skill):
-    """Put the objects of each role into the compartment `into[role]`, unless they are there."""
+    """Put the objects of each role into the compartment `into[role]`, a region, unless they are there."""
 
     ROLES: ClassVar[tuple[str, ...]] = ()
+    REGION_ARGUMENTS: ClassVar[tuple[str, ...]] = ("into",)
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
-    TYPICAL_SECONDS: ClassVar[float] = 45.0
+    TYPICAL_SECONDS: ClassVar[float] = 30.0
     into: Annotated[Mapping[str, str], Field(min_length=1)]
 
     def roles(self) -> tuple[tuple[str, str], ...]:
         """Return (argument, role) of all objects and compartments."""
         pairs = ((f"into.{role}", name) for role, region in self.into.items() for name in (role, region))
         return tuple(pairs)
+
+    def task_fault(self, task: ProgramTask) -> tuple[str, str] | None:
+        """Check that each key names objects, and each value a region."""
+        for role, region in self.into.items():
+            if role in task.regions:
+                return "into", f"the region {role} cannot be sorted; give a role of objects"
+            if region not in task.regions:
+                known = ", ".join(task.regions) or "(none)"
+                return "into", f"{region!r} is not a region of the task; regions: {known}"
+        return None
 
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]

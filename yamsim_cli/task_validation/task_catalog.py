@@ -60,8 +60,13 @@ def task_entries(locations: Locations) -> list[dict[str, Any]]:
 
 
 def task_entry(name: str, locations: Locations) -> dict[str, Any]:
-    """Return the description of a task as JSON data: name, kind, rig, prompt, things, skills, goal, starts etc."""
+    """Return `describe_task` of a task by its name or the path of its file, with that path."""
     task = load_config(ProgramTask, "tasks", name, locations, check=check_task_config)
+    return {**describe_task(task), "path": str(locations.config_file("tasks", name))}
+
+
+def describe_task(task: ProgramTask) -> dict[str, Any]:
+    """Return the description of a task as JSON data: name, kind, rig, prompt, things, skills, goal, starts etc."""
     program = build_program(task, task.typical_roles)
     return {
         "name": task.name,
@@ -76,7 +81,6 @@ def task_entry(name: str, locations: Locations) -> dict[str, Any]:
         "starts": {role: _as_data(start) for role, start in task.starts.items()},
         "time_limit_s": task.time_limit_s,
         "steps": len(program),
-        "path": str(locations.config_file("tasks", name)),
     }
 
 

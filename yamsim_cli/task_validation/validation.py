@@ -134,7 +134,9 @@ def _near_miss_states(
     scene: CompiledScene, task: ProgramTask, roles: RoleAssignment, attempt: Attempt, ended: Array
 ) -> Iterator[tuple[str, Array]]:
     assert attempt.start is not None, "a success has a start"
-    for name in _moved_objects(scene, attempt.start, ended):
+    judged = {role for _, predicate in task.goal.predicates() for _, role in predicate.roles()}
+    named = {name for role in judged for name in roles.objects_of(role)}
+    for name in filter(named.__contains__, _moved_objects(scene, attempt.start, ended)):
         back, at = ended.copy(), _qpos_addresses(scene, name)
         back[at] = attempt.start[at]
         yield f"the {name} where it started", back
@@ -159,7 +161,9 @@ def _moved_objects(scene: CompiledScene, start: Array, ended: Array) -> Iterator
 def _qpos_addresses(scene: CompiledScene, name: str) -> Ids:
     if name in scene.cloths:
         return scene.cloths[name].qpos
-    return np.arange(scene.object_qpos[name], scene.object_qpos[name] + 7)
+    # An object's pieces belong to it.
+    first = [scene.object_qpos[name], *scene.model.jnt_qposadr[list(scene.pieces.get(name, ()))]]
+    return np.concatenate([np.arange(k, k + 7) for k in first])
 
 
 def _displace_to_near_miss(scene: CompiledScene, qpos: Array, name: str, miss: NearMiss) -> None:

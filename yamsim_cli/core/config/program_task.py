@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal, Protocol
 
 from pydantic import Field, FiniteFloat, ValidationInfo, model_validator
 
@@ -29,7 +30,7 @@ from ..files.documents.units import (
     is_recorded_config,
 )
 from .goals.goal import Goal
-from .goals.predicates import On
+from .goals.predicates import Contains, On
 from .goals.role_assignment import RoleAssignment
 from .goals.world import TABLE
 from .objects.object_config import ObjectConfig
@@ -48,6 +49,13 @@ _ClothDropHeight = Annotated[
 ]  # drop height of a cloth, as a share of its half diagonal
 _RegionLength = Annotated[FiniteFloat, QuantityBounds("m", 1e-3, 2)]
 _MAX_TICK_CHANGE = 0.07  # largest relative change of a control tick for a frame rate, as skills count waits in ticks
+
+
+class TakesArguments(Protocol):
+    """A predicate or a skill: the arguments that may name the table, and those that may name a region."""
+
+    TABLE_ARGUMENTS: ClassVar[tuple[str, ...]]
+    REGION_ARGUMENTS: ClassVar[tuple[str, ...]]
 
 
 class Filling(Config):
@@ -229,7 +237,7 @@ class Region(Config):
 
 
 class TableArea(Config):
-    """A rectangle in `world`, m, over which the table extends at least."""
+    """The rectangle in `world` that the table has to cover, m."""
 
     x: WorkspaceRange
     y: WorkspaceRange
@@ -337,14 +345,6 @@ class ProgramTask(Config):
                 raise ConflictError(f"{start.on!r} is not listed before the {role}; {valid}", ("starts", role, "on"))
             placed.add(role)
         things = {*self.things, *(name for role in self.things for name in self._numbered_names(role))}
-        for name, region in self.regions.items():
-            if name in things | {TABLE}:
-                raise ConflictError(f"{name!r} is the name of an object too; rename the region", ("regions", name))
-            if region.of not in things:
-                raise ConflictError(
-                    f"unknown role {region.of!r}; {suggest_similar(region.of, things)}", ("regions", name, "of")
-                )
-        names = {*things, *self.regions}
         for k, miss in enumerate(self.near_misses):
             if miss.thing not in things:
                 raise ConflictError(
@@ -354,10 +354,53 @@ class ProgramTask(Config):
         for path, predicate in self.goal.predicates():
             for argument, role in predicate.roles():
                 where = ("goal", *path, *argument.split("."))
-                if role not in (known := names | {TABLE}):
+                if role not in (known := {*things, *self.regions, TABLE}):
                     raise ConflictError(f"unknown role {role!r}; {suggest_similar(role, known)}", where)
+                self.check_argument(predicate, argument, role, where)
                 if predicate.JUDGES_CLOTH and not self.may_be_cloth(role):
                     raise ConflictError(f"the {role} is not cloth; give a role of cloth", where)
+        return self
+
+    def check_argument(self, owner: TakesArguments, argument: str, role: str, where: tuple[str | int, ...]) -> None:
+        """Raise ConflictError with the path `where` if a predicate's or a skill's argument must name an object."""
+        first = argument.partition(".")[0]
+        if role == TABLE and first not in owner.TABLE_ARGUMENTS:
+            raise ConflictError(f"`{argument}` cannot be the table; give a role of objects", where)
+        if role in self.regions and first not in owner.REGION_ARGUMENTS:
+            raise ConflictError(f"`{argument}` cannot be the region {role}; give a role of objects", where)
+
+    @model_validator(mode="after")
+    def _regions_are_parts_of_objects(self) -> ProgramTask:
+        names = {TABLE, *self.things, *itertools.chain.from_iterable(map(self.possible_names, self.things))}
+        for name, region in self.regions.items():
+            where = ("regions", name, "of")
+            if name in names:
+                raise ConflictError(f"{name!r} is the name of an object too; rename the region", ("regions", name))
+            if region.of not in names - {TABLE}:
+                raise ConflictError(f"unknown role {region.of!r}; {suggest_similar(region.of, names - {TABLE})}", where)
+            if len(self.typical_roles.objects_of(region.of)) > 1:
+                some = ", ".join(self._numbered_names(region.of))
+                raise ConflictError(f"several objects have the role {region.of}; give one of {some}", where)
+            if self.things[self.role_of(region.of)].sizes:
+                fault = f"the {region.of} has `sizes`, but a region has one size; remove one of the two"
+                raise ConflictError(fault, where)
+        return self
+
+    @model_validator(mode="after")
+    def _weighed_pieces_are_there(self) -> ProgramTask:
+        for path, predicate in self.goal.predicates():
+            if isinstance(predicate, Contains):
+                where, role = ("goal", *path), self.things[self.role_of(predicate.pieces_of)]
+                if role.filled is None:
+                    raise ConflictError(
+                        f"the {predicate.pieces_of} has no loose pieces; add `filled` to the role, or give another one",
+                        (*where, "pieces_of"),
+                    )
+                if predicate.least_g > (total := role.filled.grams * role.count):
+                    raise ConflictError(
+                        f"{predicate.least_g:g} g are more than the {total:g} g of pieces; give less",
+                        (*where, "least_g"),
+                    )
         return self
 
     @model_validator(mode="after")
@@ -532,12 +575,16 @@ class ProgramTask(Config):
         one = self.things[role]
         return self._numbered_names(role) if one.named == "role" else tuple(item.name for item in one.of)
 
-    def possible_objects(self, name: str) -> tuple[ObjectConfig, ...]:
-        """Return the object configs of a role, or of the role of an object called `name`. Raise KeyError if unknown."""
-        for role, played in self.things.items():
+    def role_of(self, name: str) -> str:
+        """Return the role of an object called `name`; for a role, the role. Raise KeyError if unknown."""
+        for role in self.things:
             if name in (role, *self.possible_names(role)):
-                return played.of
+                return role
         raise KeyError(name)
+
+    def possible_objects(self, name: str) -> tuple[ObjectConfig, ...]:
+        """Return the object configs of a role, or of an object's role. Raise KeyError if unknown."""
+        return self.things[self.role_of(name)].of
 
     def _numbered_names(self, role: str) -> tuple[str, ...]:
         count = self.things[role].count

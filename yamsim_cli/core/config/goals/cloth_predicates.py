@@ -89,7 +89,7 @@ class FoldedSmall(PerObjectPredicate):
     Attributes:
         thing: a role of cloth.
         area: largest area of the box, m2.
-        share: instead of `area`, its largest share of the box's area at the start.
+        share: instead of `area`, the largest area as a share of the box's area at the start.
         height: largest height of a point above the lowest point, m.
     """
 

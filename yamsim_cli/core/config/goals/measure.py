@@ -13,7 +13,7 @@ class GoalMeasure:
     Attributes:
         what: the predicate with its arguments, such as `on(cup, plate)`.
         margin: at least 0 if the predicate holds, negative if it fails; in units of `unit`.
-        unit: "m", "deg", "share", or "" for a binary predicate, whose margins are 0 and -1.
+        unit: "m", "m2", "deg", "g", "share", or "" for a binary predicate, whose margins are 0 and -1.
         detail: the measured values behind the margin, as text.
     """
 

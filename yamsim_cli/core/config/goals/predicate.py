@@ -17,6 +17,9 @@ class Predicate(Config):
     ROLES: ClassVar[tuple[str, ...]]
     # Whether objects of the first role have to be in a hand (True) or in no hand (False); None if both are possible.
     IN_HAND: ClassVar[bool | None] = None
+    # Arguments that may name `table`, and arguments that may name a region of the task.
+    TABLE_ARGUMENTS: ClassVar[tuple[str, ...]] = ()
+    REGION_ARGUMENTS: ClassVar[tuple[str, ...]] = ()
     # Whether only cloth may have the roles.
     JUDGES_CLOTH: ClassVar[bool] = False
 

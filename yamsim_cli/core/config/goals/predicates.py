@@ -18,6 +18,7 @@ from .predicate import PerObjectPredicate, PerPairPredicate, Predicate, failure_
 from .role_assignment import RoleAssignment
 from .world import TABLE, GoalWorld
 
+_Grams = Annotated[FiniteFloat, QuantityBounds("g", 0, 1e4)]
 _ReceiverSide = Literal["left", "right", "either"]
 
 
@@ -48,6 +49,7 @@ class On(PerPairPredicate):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "surface")
+    TABLE_ARGUMENTS: ClassVar[tuple[str, ...]] = ("surface",)
     IN_HAND: ClassVar[bool | None] = False
     surface: str
     inside: Distance = 0.0
@@ -80,6 +82,7 @@ class Inside(PerPairPredicate):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "container")
+    REGION_ARGUMENTS: ClassVar[tuple[str, ...]] = ("container",)
     container: str
     share: Annotated[Share, Field(gt=0)] = 0.8
 
@@ -134,6 +137,7 @@ class Over(PerPairPredicate):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "surface")
+    TABLE_ARGUMENTS: ClassVar[tuple[str, ...]] = ("surface",)
     surface: str
     gap: Distance = 0.02
 
@@ -264,6 +268,7 @@ class Above(PerPairPredicate):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "other")
+    TABLE_ARGUMENTS: ClassVar[tuple[str, ...]] = ("other",)
     other: str
     by: Distance = 0.0
 
@@ -344,6 +349,7 @@ class Sorted(Predicate):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("things",)
+    REGION_ARGUMENTS: ClassVar[tuple[str, ...]] = ("into",)
     things: str
     order: tuple[str, ...] = ()
     axis: Literal["x", "y"] = "y"
@@ -478,35 +484,39 @@ class Hung(PerPairPredicate):
 
 
 class Contains(Predicate):
-    """Loose pieces with a total mass in a range lie in a container's interior, see `filled` of a role.
-
-    A piece counts if its centre is inside.
+    """The loose pieces in a container weigh between `least_g` and `most_g`; a piece counts if its centre is inside.
 
     Attributes:
-        container: a role.
-        pieces_of: role of the object that the pieces fill at the start.
-        least_g, most_g: the range, g.
+        container: a role; the masses in several containers are added.
+        pieces_of: the role whose `filled` defines the pieces.
+        least_g, most_g: the range, g; at least one of the two.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("container", "pieces_of")
     container: str
     pieces_of: str
-    least_g: Annotated[FiniteFloat, QuantityBounds("g", 0, 1e4)] = 0.0
-    most_g: Annotated[FiniteFloat, QuantityBounds("g", 0, 1e4)] = 1e4
+    least_g: _Grams = 0.0
+    most_g: _Grams | None = None
 
     @model_validator(mode="after")
-    def _range_is_ordered(self) -> Contains:
-        if self.least_g > self.most_g:
+    def _range_is_valid(self) -> Contains:
+        if not self.least_g and self.most_g is None:
+            raise ValueError("give `least_g`, `most_g` or both")
+        if self.most_g is not None and self.least_g > self.most_g:
             raise ValueError(f"`least_g` {self.least_g:g} is above `most_g` {self.most_g:g}; swap them")
         return self
 
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
-        """Return the measure of the mass in the container."""
-        container = roles.object_of(self.container)
-        grams = sum(world.grams_inside(filled, container) for filled in roles.objects_of(self.pieces_of))
-        margin = min(grams - self.least_g, self.most_g - grams)
-        wanted = f"{self.least_g:g} to {self.most_g:g} g asked"
-        return [GoalMeasure(f"contains({container})", margin, "g", f"{grams:.1f} g inside, {wanted}")]
+        """Return the measure of the mass in the containers."""
+        grams = sum(
+            world.grams_inside(filled, container)
+            for filled in roles.objects_of(self.pieces_of)
+            for container in roles.objects_of(self.container)
+        )
+        most = math.inf if self.most_g is None else self.most_g
+        margin = min(grams - self.least_g, most - grams)
+        wanted = f"at least {self.least_g:g} g" if most == math.inf else f"{self.least_g:g} to {most:g} g"
+        return [GoalMeasure(f"contains({self.container})", margin, "g", f"{grams:.1f} g inside, {wanted} asked")]
 
 
 PREDICATES: Mapping[str, type[Predicate]] = {

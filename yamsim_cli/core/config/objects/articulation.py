@@ -88,8 +88,8 @@ class LinkJoint(Config):
         start: initial position, in the same unit.
         damping: viscous damping, N s/m or N m s/rad.
         friction: dry friction, N or N m.
-        stiff_friction: whether the joint stays where it is below this friction; otherwise it creeps. Physics steps must
-            not be longer than 2.1 ms.
+        stiff_friction: whether dry friction is stiffer. A load below `friction` then moves the joint 50 times more
+            slowly, at steps of 2 ms.
         armature: added inertia, kg or kg m2.
         pitch: pitch of a screw, m per turn.
         detents: ridges that the joint has to overcome.
@@ -121,6 +121,8 @@ class LinkJoint(Config):
     def _positions_lie_in_range(self) -> LinkJoint:
         if not self.range[0] <= self.start <= self.range[1]:
             raise ValueError(f"start {self.start:g} lies outside its range {self.range[0]:g}..{self.range[1]:g}")
+        if self.stiff_friction and not self.friction:
+            raise ValueError("`stiff_friction` needs `friction`; give both, or neither")
         if (self.type == "screw") != bool(self.pitch):
             raise ValueError("a screw joint needs `pitch`, and other joints must not have it")
         for detent in self.detents:

@@ -20,7 +20,7 @@ from .object_part import Contact as Contact
 from .object_part import Inertia as Inertia
 from .object_part import ObjectMesh as ObjectMesh
 from .primitives import Box, Capsule, CollisionPart, Cylinder, HullPart, Primitive, Ring, SdfPart, Sphere
-from .shapes import Shape
+from .shapes import RackShape, Shape
 
 _PRIMITIVE_BOUNDS = QuantityBounds("m", -1, 1)  # m, bounds of lengths and coordinates of primitives
 
@@ -276,4 +276,5 @@ class ObjectConfig(Config):
     @property
     def can_support(self) -> bool:
         """Whether the object has a flat top or a floor, so that other objects can be placed on or in it."""
-        return self.support is not None or any(isinstance(part, Cylinder | Box) for part in self.collision)
+        made_to_support = self.support is not None or isinstance(self.shape, RackShape)
+        return made_to_support or any(isinstance(part, Cylinder | Box) for part in self.collision)

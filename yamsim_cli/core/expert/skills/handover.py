@@ -87,6 +87,11 @@ class Handover(Skill):
     to: Literal["left", "right", "first", "second", "other"] = "other"
     height: Distance = 0.22
 
+    @property
+    def hand_count(self) -> int:
+        """Two: both hands act together."""
+        return 2
+
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:

@@ -33,6 +33,11 @@ class BimanualLift(Skill):
     thing: str
     by: Distance = 0.10
 
+    @property
+    def hand_count(self) -> int:
+        """Two: both hands act together."""
+        return 2
+
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:

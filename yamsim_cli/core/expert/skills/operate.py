@@ -38,7 +38,7 @@ class Operate(Skill):
     arm: ArmSelector = "any"
 
     def task_fault(self, task: ProgramTask) -> tuple[str, str] | None:
-        """Return why an object has no part `joint` with a handle."""
+        """Check that each object has a part `joint` with a handle."""
         return missing_part(task, self.thing, self.joint)
 
     def run(

@@ -195,6 +195,7 @@ class Place(PlaceSkill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "on", "start_of")
+    TABLE_ARGUMENTS: ClassVar[tuple[str, ...]] = ("on",)
     ROLES_OF_ANY_MATERIAL: ClassVar[tuple[str, ...]] = ("on",)
     on: str
     at: tuple[WorkspaceCoordinate, WorkspaceCoordinate] | None = None

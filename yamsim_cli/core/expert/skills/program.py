@@ -34,7 +34,8 @@ from .put_aside import PutAside, Regrasp, put_down_failed_object
 from .set_upright import SetUpright, TurnTowardsArms
 from .skill import Skill, find_holding_hand
 
-# The skills of this package. A new skill is a module here, and an entry. `skill_names` has those of other packages too.
+# The skills of this package. A new skill is a module here, and an entry. `skill_names` also lists the skills of other
+# packages.
 SKILLS: Mapping[str, type[Skill]] = {
     "pick": Pick,
     "place": Place,
@@ -181,8 +182,7 @@ def _read_skill(
     try:
         kind = skill_class(key)
     except ImportError as error:
-        fault = f"the skill {key!r} cannot be imported: {error}; install its package again"
-        raise ConflictError(fault, path) from error
+        raise ConflictError(str(error), path) from error
     if not isinstance(given, Mapping):
         raise ConflictError(f"`{key}` must be a mapping with these keys: {', '.join(kind.model_fields)}", path)
     filled = {name: names.get(value, value) if isinstance(value, str) else value for name, value in given.items()}
@@ -240,13 +240,37 @@ def skill_names() -> tuple[str, ...]:
 
 
 def skill_class(name: str) -> type[Skill]:
-    """Return the class of a skill. Raise KeyError for an unknown name, and ImportError if its module has a fault."""
-    return SKILLS.get(name) or _skill_entry_points()[name].load()
+    """Return the class of a skill.
+
+    Raises:
+        KeyError: no skill has the name.
+        ImportError: the skill of another package cannot be used; the message says why, and what to do.
+    """
+    if name in SKILLS:
+        return SKILLS[name]
+    first, *others = _skill_entry_points()[name]
+    if others:
+        places = ", ".join(one.value for one in (first, *others))
+        raise ImportError(f"several packages have a skill {name!r} ({places}); uninstall all but one")
+    try:
+        kind = first.load()
+    except Exception as error:  # the module is code of another package
+        raise ImportError(
+            f"the skill {name!r} ({first.value}) cannot be loaded: {error}; install its package again"
+        ) from error
+    if not (isinstance(kind, type) and issubclass(kind, Skill)):
+        raise ImportError(f"the skill {name!r} ({first.value}) is not a subclass of Skill; mend its package")
+    return kind
 
 
 @functools.cache
-def _skill_entry_points() -> Mapping[str, EntryPoint]:
-    return {one.name: one for one in entry_points(group=SKILL_GROUP) if one.name not in SKILLS}
+def _skill_entry_points() -> Mapping[str, tuple[EntryPoint, ...]]:
+    """Return name -> entry points of other packages' skills; names of `SKILLS` and `each` are not overridden."""
+    found: dict[str, tuple[EntryPoint, ...]] = {}
+    for point in entry_points(group=SKILL_GROUP):
+        if point.name not in SKILLS and point.name != _LOOP_KEY:
+            found[point.name] = (*found.get(point.name, ()), point)
+    return found
 
 
 def skill_name(skill: Skill) -> str:
@@ -256,7 +280,8 @@ def skill_name(skill: Skill) -> str:
         if kind is own:
             return name
     where = f"{kind.__module__}:{kind.__qualname__}"
-    return next((name for name, one in _skill_entry_points().items() if one.value == where), kind.__name__.lower())
+    names = (name for name, points in _skill_entry_points().items() if any(one.value == where for one in points))
+    return next(names, kind.__name__.lower())
 
 
 def _last_picked(program: Sequence[Skill]) -> str | None:

@@ -31,8 +31,12 @@ class Skill(Config):
     # Whether the skill manipulates cloth, else rigid objects; roles in `ROLES_OF_ANY_MATERIAL` may be either.
     HANDLES_CLOTH: ClassVar[bool] = False
     ROLES_OF_ANY_MATERIAL: ClassVar[tuple[str, ...]] = ()
-    # s, duration in a successful attempt, for estimates before a run. Source: means over the shipped tasks; 5 s is an
-    # estimate for skills that no shipped task has.
+    # Arguments that may name `table`, and arguments that may name a region of the task.
+    TABLE_ARGUMENTS: ClassVar[tuple[str, ...]] = ()
+    REGION_ARGUMENTS: ClassVar[tuple[str, ...]] = ()
+    # Duration in a successful attempt, s, for estimates before a run. Source: means over the shipped tasks and, for the
+    # skills of `kitchen_skills`, one episode each. No shipped task has `push`, `turn` or `regrasp`, whose values are
+    # estimates.
     TYPICAL_SECONDS: ClassVar[float] = 5.0
 
     @abstractmethod
@@ -71,8 +75,16 @@ class Skill(Config):
         return ()
 
     def task_fault(self, task: ProgramTask) -> tuple[str, str] | None:
-        """Return an argument, and why a task's objects do not suit it; None if nothing is known against them."""
+        """Check a task's objects before anything runs.
+
+        Return an argument and the reason if an object does not suit it; else None.
+        """
         return None
+
+    @property
+    def hand_count(self) -> int:
+        """Number of hands that the skill needs."""
+        return 1
 
     def roles(self) -> tuple[tuple[str, str], ...]:
         """Return (argument, role) of all given arguments that name a role."""

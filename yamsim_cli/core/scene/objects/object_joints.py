@@ -15,8 +15,8 @@ _DETENT_RADIUS = 0.05  # m, of a hinge's detent; any radius gives the same torqu
 _MAX_LENGTH = 10.0  # m, upper spring length; longer than any detent's spring becomes, so that the spring never pulls
 _DETENT_TABLE_SIZE = 400  # joint positions at which a detent's force is computed
 _THREAD_SOLREF = (0.004, 1.0)  # the stiffest one that a time step of 2 ms allows
-# Of a joint with `stiff_friction`: two steps of 2.1 ms, the least that is stable. By default, a cap turns at 0.3 rad/s
-# under less than half of its torque.
+# Of `stiff_friction`; the time constant is two steps of 2.1 ms. By default, a cap turns at 0.3 rad/s under less than
+# half of its torque.
 _STIFF_FRICTION_SOLREF = (0.0042, 1.0)
 _STIFF_FRICTION_SOLIMP = (0.999, 0.999, 0.001, 0.5, 2.0)
 _FRICTION_SOLIMP = (0.99, 0.999, 0.001, 0.5, 2.0)  # with the default, joints creep by mm a second
