@@ -10,7 +10,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from yamsim_cli.core.config.objects.object_config import Grasp, ObjectConfig
 from yamsim_cli.core.config.program_task import ProgramTask
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.config.scene import FixedCamera
+from yamsim_cli.core.config.scene import FixedCamera, Table
 from yamsim_cli.core.files.documents.config_base import Name, Quaternion, Range, Rgba
 
 
@@ -99,6 +99,13 @@ def test_settings_that_determine_the_data_exclude_counts_and_workers(config):
     other = RecordConfig.model_validate(changed(config, episodes=3, workers=7))
     assert other.data_config() == data
     assert RecordConfig.model_validate(changed(config, seed=config.seed + 1)).data_config() != data
+
+
+def test_a_table_grows_only_where_it_does_not_cover():
+    table = Table(position=(0.45, 0.0, -0.011), half_size=(0.30, 0.35, 0.01), rgba=(1, 1, 1, 1))
+    assert table.covering((0.2, 0.7), (-0.3, 0.3)) == table
+    grown = table.covering((0.2, 0.95), (-0.3, 0.3))
+    assert grown.position == pytest.approx((0.55, 0.0, -0.011)) and grown.half_size == pytest.approx((0.4, 0.35, 0.01))
 
 
 def test_a_camera_cannot_look_at_itself():

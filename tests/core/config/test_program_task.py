@@ -23,6 +23,11 @@ from yamsim_cli.session_opener import SessionOpener
 
 PICK: dict[str, Any] = {"pick": {"thing": "cube"}}
 
+HALF = {"of": "plate", "position": [0, 0.05, 0], "size": [0.1, 0.05, 0.05]}
+CUP_OF_PASTA = {"of": "kitchen_measuring_cup", "filled": {"of": "kitchen_dry_pasta", "grams": 150}}
+WEIGHED = {"container": "cube", "pieces_of": "plate"}
+SCOOPED = {"tool": "cube", "source": "plate", "into": "cube", "grams": 10, "tolerance": 5}
+
 BAD = {
     "unknown thing": ({("things", "cube", "of"): ["cube_purple"]}, "things.cube.of[0]", "unknown object 'cube_purple'"),
     "unknown predicate": ({("goal",): {"onto": {"thing": "cube"}}}, "goal.onto", "unknown key; did you mean 'on'?"),
@@ -200,6 +205,82 @@ BAD = {
         {("things", "plate"): {"of": "013_apple"}},
         "expert[1].place.on",
         "target 'apple' has neither a floor nor a flat top to put something on",
+    ),
+    "a region of nobody": ({("regions",): {"half": {**HALF, "of": "cap"}}}, "regions.half.of", "unknown role 'cap'"),
+    "a region with an object's name": (
+        {("regions",): {"cube_red": HALF}, ("things", "cube", "named"): "object"},
+        "regions.cube_red",
+        "'cube_red' is the name of an object too; rename the region",
+    ),
+    "a region of several objects": (
+        {("things", "plate", "count"): 2, ("regions",): {"half": HALF}},
+        "regions.half.of",
+        "several objects have the role plate; give one of plate_1, plate_2",
+    ),
+    "a region of an object of several sizes": (
+        {("things", "plate"): {"of": "kitchen_plate", "sizes": [1.0, 1.2]}, ("regions",): {"half": HALF}},
+        "regions.half.of",
+        "the plate has `sizes`, but a region has one size",
+    ),
+    "an object taken for a region": (
+        {("regions",): {"half": HALF}, ("expert",): [PICK, {"place": {"thing": "cube", "on": "half"}}]},
+        "expert[1].place.on",
+        "`on` cannot be the region half; give a role of objects",
+    ),
+    "a region in a hand": (
+        {("regions",): {"half": HALF}, ("goal",): {"held_by": {"thing": "half"}}},
+        "goal.held_by.thing",
+        "`thing` cannot be the region half",
+    ),
+    "a table in a hand": (
+        {("expert",): [{"pick": {"thing": "table"}}]},
+        "expert[0].pick.thing",
+        "`thing` cannot be the table",
+    ),
+    "a table as a container": (
+        {("goal",): {"in": {"thing": "cube", "container": "table"}}},
+        "goal.in.container",
+        "`container` cannot be the table",
+    ),
+    "weighed where nothing is loose": (
+        {("goal",): {"contains": {"container": "plate", "pieces_of": "cube", "least_g": 5}}},
+        "goal.contains.pieces_of",
+        "the cube has no loose pieces; add `filled`",
+    ),
+    "more than there is": (
+        {("things", "plate"): CUP_OF_PASTA, ("goal",): {"contains": {**WEIGHED, "least_g": 151}}},
+        "goal.contains.least_g",
+        "151 g are more than the 150 g of pieces",
+    ),
+    "poured from nothing": (
+        {("expert",): [{"pour": {"thing": "cube", "into": "plate"}}]},
+        "expert[0].pour.thing",
+        "the cube has no loose pieces",
+    ),
+    "poured onto a cube": (
+        {("things", "plate"): CUP_OF_PASTA, ("expert",): [{"pour": {"thing": "plate", "into": "cube"}}]},
+        "expert[0].pour.into",
+        "the cube_red is not suitable; give an object whose `shape` has the family vessel",
+    ),
+    "scooped out of a cup": (
+        {("things", "plate"): CUP_OF_PASTA, ("expert",): [{"scoop": SCOOPED}]},
+        "expert[0].scoop.source",
+        "the measuring_cup is not suitable; give an object whose `shape` has the family container",
+    ),
+    "sorted into no region": (
+        {("expert",): [{"sort": {"into": {"cube": "plate"}}}]},
+        "expert[0].sort.into",
+        "'plate' is not a region of the task; regions: (none)",
+    ),
+    "a lid of what has none": (
+        {("expert",): [{"open_lid": {"thing": "cube"}}]},
+        "expert[0].open_lid.thing",
+        "the cube_red has no handle at which a hand could steady it",
+    ),
+    "opened by one arm": (
+        {("arms",): "one", ("expert",): [{"open_lid": {"thing": "cube"}}]},
+        "expert[0].open_lid",
+        "the step `open_lid` needs two arms",
     ),
     "near miss of nobody": (
         {("near_misses",): [{"thing": "cap", "what": "off"}]},

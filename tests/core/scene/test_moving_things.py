@@ -101,6 +101,20 @@ def test_a_screw_cap_rises_as_it_turns() -> None:
     assert data.body("thing_part").xpos[2] - start == pytest.approx(0.012, abs=1.5e-3)
 
 
+def test_stiff_friction_holds_a_lid_that_would_creep() -> None:
+    cap = {"type": "screw", "axis": [0, 0, 1], "range": [0, 1080], "pitch": 0.004, "friction": 0.5,
+           "damping": 0.02, "armature": 2e-4}  # fmt: skip
+    turned = {}
+    for stiff in (False, True):
+        _, model, data = world(thing({**cap, "stiff_friction": stiff}))
+        model.opt.timestep = 1 / 480
+        turned[stiff] = pushed(model, data, 0.4, 2.0)
+    assert turned[True] < 0.02 and turned[False] > 10 * turned[True]
+    assert "stiff_friction" not in thing(cap).model_dump_json()  # files of earlier versions stay the same
+    with pytest.raises(ValidationError, match="`stiff_friction` needs `friction`"):
+        thing({**cap, "friction": 0.0, "stiff_friction": True})
+
+
 @pytest.mark.parametrize("kind", ["slide", "hinge"])
 def test_a_ridge_gives_way_to_its_effort_and_no_less(kind: str) -> None:
     if kind == "slide":

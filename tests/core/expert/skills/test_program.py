@@ -223,23 +223,34 @@ class FailingElsewhere(Failing):
     """A skill of another package."""
 
 
-def _entry_point(name: str, value: str) -> EntryPoint:
-    return EntryPoint(name, value, program.SKILL_GROUP)
+def _entry_points(**places: str) -> dict[str, tuple[EntryPoint, ...]]:
+    return {name: (EntryPoint(name, place, program.SKILL_GROUP),) for name, place in places.items()}
 
 
 def test_skills_of_other_packages_are_found_by_their_entry_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    points = {
-        "fail": _entry_point("fail", f"{__name__}:FailingElsewhere"),
-        "lost": _entry_point("lost", "yamsim_cli.no_such_module:Lost"),
-    }
+    points = _entry_points(
+        fail=f"{__name__}:FailingElsewhere",
+        lost="yamsim_cli.no_such_module:Lost",
+        gone=f"{__name__}:NoSuchClass",
+        other=f"{__name__}:CAST",
+    )
+    points["twice"] = points["fail"] + points["lost"]
     monkeypatch.setattr(program, "_skill_entry_points", lambda: points)
-    assert program.skill_names()[-2:] == ("fail", "lost")
+    assert program.skill_names()[-5:] == ("fail", "lost", "gone", "other", "twice")
     (skill,) = parse_program([{"fail": {"times": 2}}], CAST)
     assert skill == FailingElsewhere(times=2) and program.skill_name(skill) == "fail"
-    with pytest.raises(ConflictError, match=r"the skill 'lost' cannot be imported: .*; install its package again"):
-        parse_program([{"lost": {}}], CAST)
-    with pytest.raises(ConflictError, match="unknown skill 'fial'; did you mean 'fail'"):
-        parse_program([{"fial": {}}], CAST)
+    for name, said in (
+        (
+            "lost",
+            r"the skill 'lost' \(yamsim_cli.no_such_module:Lost\) cannot be loaded: .*; install its package again",
+        ),
+        ("gone", r"the skill 'gone' \(.*:NoSuchClass\) cannot be loaded"),
+        ("other", r"the skill 'other' \(.*:CAST\) is not a subclass of Skill"),
+        ("twice", r"several packages have a skill 'twice' \(.*FailingElsewhere, .*Lost\); uninstall all but one"),
+        ("fial", "unknown skill 'fial'; did you mean 'fail'"),
+    ):
+        with pytest.raises(ConflictError, match=said):
+            parse_program([{name: {}}], CAST)
 
 
 def test_yamsims_own_entry_points_are_found() -> None:
