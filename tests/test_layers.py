@@ -27,6 +27,7 @@ FLOORS: dict[str, int] = {
     "camera_effects": 2,
     "correction_record": 2,
     "disturbances": 2,
+    "least_squares": 2,
     "procedural": 2,
     "scene_photos": 2,
     "core.robots": 2,

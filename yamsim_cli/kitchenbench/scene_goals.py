@@ -29,6 +29,11 @@ def goal_data(blueprint: SceneBlueprint) -> dict[str, Any]:
     return {"all": list(_clauses(blueprint)), "for_s": _HOLD_SECONDS}
 
 
+def rack_region(rack: str) -> str:
+    """Return the name of the region that a goal uses for a rack."""
+    return f"{rack}_box"
+
+
 def _clauses(blueprint: SceneBlueprint) -> list[Mapping[str, Any]]:
     roles = {role: names[0] for role, names in blueprint.roles.items()}
     wanted = blueprint.success_params
@@ -38,7 +43,9 @@ def _clauses(blueprint: SceneBlueprint) -> list[Mapping[str, Any]]:
         case "stack":
             return [{"piled": {"things": list(blueprint.roles["stack"]), "gap": CONTACT_TOL_M}}]
         case "place_in":
-            return [{"in": {"thing": roles["item"], "container": roles["rack"], "share": CONTAIN_FRACTION}}]
+            return [
+                {"in": {"thing": roles["item"], "container": rack_region(roles["rack"]), "share": CONTAIN_FRACTION}}
+            ]
         case "handoff":
             return [{"handed_over": {"thing": roles["item"], "to": str(wanted.get("receiving_arm", "either"))}}]
         case "sort":

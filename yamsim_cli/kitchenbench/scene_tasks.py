@@ -14,15 +14,16 @@ from kitchenbench.sim import build_blueprint
 from kitchenbench.sim.blueprint import SceneBlueprint
 
 from ..core.config.goals.world import TABLE
-from ..core.config.program_task import PROGRAM_KIND
+from ..core.config.program_task import PROGRAM_KIND, Region
 from ..core.errors import UsageError, suggest_similar
 from ..core.expert.skills.program import skill_name
 from ..core.files.documents.config_base import Config
+from ..core.sim.sim_world import make_sim_world
 from .asset_configs import start_extras
-from .benchmark_scene import STATION_RIG, build_benchmark_scene, open_station_session, table_area
+from .benchmark_scene import STATION_RIG, BenchmarkScene, build_benchmark_scene, open_station_session, table_area
 from .object_poses import feasible_poses
 from .pasta import SCOOP
-from .scene_goals import goal_data
+from .scene_goals import goal_data, rack_region
 from .skill_programs import build_scene_program
 
 _MAX_ARRANGEMENTS, _EPOCHS = 100, 600
@@ -50,6 +51,7 @@ def scene_task_data(name: str) -> dict[str, Any]:
                 blueprints.append(blueprint)
             if len(arrangements) == _MAX_ARRANGEMENTS:
                 break
+        racks = _rack_regions(realized)
     finally:
         realized.simulator.close()
     task = realized.simulator.config.task
@@ -59,7 +61,7 @@ def scene_task_data(name: str) -> dict[str, Any]:
         "kind": PROGRAM_KIND,
         "rig": STATION_RIG,
         "things": {role: _json(played) for role, played in task.things.items()},
-        "regions": {region: _json(config) for region, config in task.regions.items()},
+        "regions": {region: _json(config) for region, config in {**task.regions, **racks}.items()},
         "starts": {role: {**_start_region(role, arrangements), **start_extras(first)} for role in task.things},
         "arrangements": arrangements,
         "phrasings": {"training": [first.instruction]},
@@ -69,6 +71,20 @@ def scene_task_data(name: str) -> dict[str, Any]:
     }
     area = table_area(base.config, blueprints)
     return data if area is None else {**data, "table_area": _json(area)}
+
+
+def _rack_regions(realized: BenchmarkScene) -> dict[str, Region]:
+    """Return the bounding boxes of racks: for KitchenBench, a dish in the box is in the rack."""
+    simulator = realized.simulator
+    world = make_sim_world(simulator.scene, simulator.state_replay.data, ())
+    found = {}
+    for rack in realized.blueprint.roles.get("rack", ()):
+        low, high = world.local_box(rack)
+        x, y, _ = (low + high) / 2
+        length, width, height = (float(side) for side in high - low)
+        position = (float(x), float(y), float(low[2]))
+        found[rack_region(rack)] = Region(of=rack, position=position, size=(length, width, height))
+    return found
 
 
 def _json(config: Config) -> dict[str, Any]:

@@ -12,11 +12,11 @@ import numpy as np
 
 from ..core.config.objects.primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
 from ..core.geometry.closed_surface import sphere_directions
-from ..core.geometry.least_squares import LeastSquares, solve_least_squares
 from ..core.geometry.se3 import Array
 from ..core.geometry.shape_generators.generated_shape import simplify_polyline
 from ..core.geometry.stl import Faces, decode_stl
 from ..core.geometry.surface_distance import sample_surface
+from ..least_squares import LeastSquares, solve_least_squares
 from .primitives import signed_distance
 
 _SAMPLES = 6000  # points of a surface; another random sample changes no fit by more than 0.1 mm

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yamsim_cli.core.config.rig import ArmConfig
-from yamsim_cli.core.geometry.least_squares import LeastSquares, solve_least_squares
 from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.least_squares import LeastSquares, solve_least_squares
 
 from .plant_model import FINE_TIMESTEP, ArmLog, LogSimulation, ParametricArm, PlantParameters
 

@@ -11,8 +11,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from yamsim_cli.core.geometry.least_squares import LeastSquares, solve_least_squares
 from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.least_squares import LeastSquares, solve_least_squares
 
 from .blur_kernel import BlurKernel, picture_gradients
 from .print_view import PhotoRegion, RenderedPrint, render_print

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from yamsim_cli.core.geometry.least_squares import LeastSquares, solve_least_squares
 from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.least_squares import LeastSquares, solve_least_squares
 
 from .board_outline import BoardOutline
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.least_squares import LeastSquares, solve_least_squares
 from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.least_squares import LeastSquares, solve_least_squares
 
 from ..markers import find_markers, group_markers
 from .board_outline import BoardOutline, fit_outline

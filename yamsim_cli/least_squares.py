@@ -8,7 +8,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .se3 import Array
+from .core.geometry.se3 import Array
 
 # Shares of the normal matrix's diagonal: at the start, the least, and the limit for stopping.
 _START_DAMPING, _MIN_DAMPING, _MAX_DAMPING = 1e-3, 1e-6, 1e4

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from yamsim_cli.core.geometry.least_squares import LeastSquares, solve_least_squares
 from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.least_squares import LeastSquares, solve_least_squares
 
 
 @dataclass(frozen=True)
