@@ -27,21 +27,27 @@ def run_expert_by_options(doc: str, options: Mapping[str, str]) -> bool:
     scenes = {option: scenes_of(task) for option, task in options.items()}
     for option, found in scenes.items():
         parser.add_argument(f"--{option}", nargs="*", metavar="SCENE", help=f"all, or some of: {', '.join(found)}")
-    parser.add_argument("--realizations", nargs="*", type=int, default=[0])
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--realizations", nargs="*", type=int, help="of each scene; the first by default")
+    parser.add_argument("--seed", type=int, help="root seed of the realizations; 0 by default")
     given = vars(parser.parse_args())
-    for option, task in options.items():
-        if given[option] is None:
-            continue
+    chosen = [option for option in options if given[option] is not None]
+    if not chosen and (given["realizations"] or given["seed"] is not None):
+        parser.error(f"--realizations and --seed need one of {', '.join(f'--{option}' for option in options)}")
+    for option in chosen:
+        task = options[option]
         if unknown := set(given[option]) - scenes[option].keys():
             parser.error(f"unknown scene {', '.join(sorted(unknown))}; valid: {', '.join(scenes[option])}")
         solved = [
-            solve(scenes[option][name], int(derive_seed(given["seed"], scenes[option][name].init_seed, number)), number)
+            solve(
+                scenes[option][name],
+                int(derive_seed(given["seed"] or 0, scenes[option][name].init_seed, number)),
+                number,
+            )
             for name in given[option] or scenes[option]
-            for number in given["realizations"]
+            for number in given["realizations"] or [0]
         ]
         print(f"{task}: {sum(solved)} of {len(solved)}")
-    return any(given[option] is not None for option in options)
+    return bool(chosen)
 
 
 def scenes_of(task: str) -> dict[str, Any]:

@@ -182,14 +182,15 @@ def _tasks(friction: float | None) -> tuple[dict[str, ProgramTask], dict[str, Pr
         count = min(_MOST, round(_VOLUME / heap_shape.capsule_volume(length, part.radius)))
         return Filling(of=piece, grams=count * piece.inertia.mass_g, max_pieces=count)
 
-    for name, kind in _SCENES.items():
-        scene = scenes_of(kind)[name]
+    for scene_name, kind in _SCENES.items():
+        scene = scenes_of(kind)[scene_name]
         blueprint = build_blueprint(scene, derive_seed(0, scene.init_seed, 0))
         ((filled, filling),) = fillings_of(blueprint, base.locations).items()
         vessel = pasta_config_of(next(i for i in blueprint.objects if i.name == filled), blueprint, base.locations)
-        heaps[name] = task(vessel, amount(filling.of, filling.of.contact.friction[0]))
+        heaps[scene_name] = task(vessel, amount(filling.of, filling.of.contact.friction[0]))
         if kind == "pour_pasta":
-            cartons[name] = task(vessel, filling)
+            cartons[scene_name] = task(vessel, filling)
+    # The last scene's vessel and friction serve the pieces of nominal size.
     for name in _NOMINAL:
         piece = load_config(ObjectConfig, "objects", name, base.locations)
         heaps[name] = task(vessel, amount(piece, filling.of.contact.friction[0]))
