@@ -45,11 +45,8 @@ def main(names: list[str]) -> None:
     # What draws is settled before anything imports MuJoCo.
     opener.choose_gl_backend(opener.find_locations())
     _FOLDER.mkdir(exist_ok=True)
-    if names == [_RECORDED]:
-        _write(_RECORDED, recorded_strip())
-        return
     for name in names or sorted(tasks.TASK_FACTORIES.keys() - set(_LEFT_OUT)):
-        strip = first_success(name)
+        strip = recorded_strip() if name == _RECORDED else first_success(name)
         if strip is None:
             sys.stdout.write(f"{name}: the expert solves none of the first realizations\n")
             continue

@@ -101,7 +101,10 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
 
 def _check_arms(skill: Skill, sides: Sequence[str] | None, arms: int, path: tuple[str | int, ...]) -> None:
     if arms < skill.hand_count:
-        raise ConflictError(f"the step `{path[-1]}` needs two arms; use a rig with two arms, without `arms: one`", path)
+        other = ", or fold `diagonal`" if isinstance(skill, Fold) else ""
+        raise ConflictError(
+            f"the step `{path[-1]}` needs two arms; use a rig with two arms, without `arms: one`{other}", path
+        )
     for argument in ("arm", "to"):
         named = getattr(skill, argument, None)
         missing = sides is not None and named in ("left", "right") and named not in sides

@@ -105,7 +105,7 @@ def test_a_scene_that_cannot_be_recorded_is_refused(name: str, said: str) -> Non
     assert str(caught.value).startswith(f"{name}: ") and said in str(caught.value)
 
 
-# One scene of each task whose goal needs at least what the checker requires: its predicate, and the last skill.
+# One scene for each task whose goal requires at least what the checker requires: its predicate, and its last skill.
 OTHER_TASKS = {
     "sort_cutlery/sparse@3": ("in", "sort"),
     "fold_cloth/napkin-half": ("folded_small", "fold_small"),

@@ -191,11 +191,11 @@ def _tasks(friction: float | None) -> tuple[dict[str, ProgramTask], dict[str, Pr
         if kind == "pour_pasta":
             cartons[scene_name] = task(vessel, filling)
     # The last scene's vessel and friction serve the pieces of nominal size.
+    last_vessel, sliding = vessel, filling.of.contact.friction[0]
     for name in _NOMINAL:
-        piece = load_config(ObjectConfig, "objects", name, base.locations)
-        heaps[name] = task(vessel, amount(piece, filling.of.contact.friction[0]))
+        heaps[name] = task(last_vessel, amount(load_config(ObjectConfig, "objects", name, base.locations), sliding))
     (carton,), (coarse,) = cartons["full-box"].objects, cartons["full-box"].things.values()
-    nominal = heaps[_NOMINAL[0]].things[vessel.name].filled
+    nominal = heaps[_NOMINAL[0]].things[last_vessel.name].filled
     assert coarse.filled is not None and nominal is not None
     cartons[f"full-box, {_NOMINAL[0]}"] = task(carton, nominal.model_copy(update={"grams": coarse.filled.grams}))
     return heaps, cartons

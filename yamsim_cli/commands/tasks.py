@@ -44,7 +44,7 @@ def show(
     from yamsim_cli.core.config.program_task import ProgramTask
     from yamsim_cli.task_validation.task_catalog import describe_task, task_entry
 
-    scene = resolve_scene_task(name)
+    scene = name if name.endswith((".yaml", ".yml")) else resolve_scene_task(name)
     if isinstance(scene, str):
         print_item(task_entry(name, session_opener.find_locations()), json)
     else:

@@ -79,7 +79,7 @@ class FoldSmall(Skill):
 
     @property
     def hand_count(self) -> int:
-        """Two: both hands act together."""
+        """Two."""
         return 2
 
     @model_validator(mode="after")
@@ -91,8 +91,8 @@ class FoldSmall(Skill):
     def largest_area(self, world: SimWorld, thing: str) -> float:
         """Return the largest area of the box around the cloth's points, m2, at which the skill ends.
 
-        The box of the goal has the cloth's thickness on all sides, which the box around the points lacks. The skill
-        aims at 2 % less.
+        The goal's box is larger by half the cloth's thickness on each side. The skill also aims at 2 % less than the
+        goal's area.
         """
         required = self.area
         if required is None:

@@ -77,7 +77,7 @@ class OpenLid(Skill):
 
     @property
     def hand_count(self) -> int:
-        """Two: both hands act together."""
+        """Two."""
         return 2
 
     def task_fault(self, task: ProgramTask) -> tuple[str, str] | None:

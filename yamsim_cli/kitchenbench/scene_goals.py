@@ -1,4 +1,4 @@
-"""Goals of yamsim tasks that are equivalent to KitchenBench's checkers."""
+"""Goals of yamsim tasks for KitchenBench's scenes; docs/kitchenbench.md lists how they differ from its checkers."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def _clauses(blueprint: SceneBlueprint) -> list[Mapping[str, Any]]:
     match blueprint.target_kind:
         case "place_on":
             pair = {"thing": roles["item"], "surface": roles["surface"]}
-            if _asset_of(blueprint, roles["surface"]) == "plate":
-                # Short cutlery comes to rest on the plate's floor, 28 mm below its rim. The checker measures from the
+            if _asset_of(blueprint, roles["surface"]) in ("plate", "bowl"):
+                # Short cutlery comes to rest on a plate's floor, 28 mm below its rim. The checker measures from the
                 # rim, and accepts 20 mm: it reports success while the cutlery falls.
                 return [{"on": pair}]
             return [{"over": {**pair, "gap": CONTACT_TOL_M}}]

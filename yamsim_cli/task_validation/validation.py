@@ -136,7 +136,9 @@ def _near_miss_states(
     assert attempt.start is not None, "a success has a start"
     judged = {role for _, predicate in task.goal.predicates() for _, role in predicate.roles()}
     named = {name for role in judged for name in roles.objects_of(role)}
-    for name in filter(named.__contains__, _moved_objects(scene, attempt.start, ended)):
+    for name in _moved_objects(scene, attempt.start, ended):
+        if name not in named:
+            continue  # it has no effect on the goal
         back, at = ended.copy(), _qpos_addresses(scene, name)
         back[at] = attempt.start[at]
         yield f"the {name} where it started", back

@@ -51,7 +51,7 @@ _RegionLength = Annotated[FiniteFloat, QuantityBounds("m", 1e-3, 2)]
 _MAX_TICK_CHANGE = 0.07  # largest relative change of a control tick for a frame rate, as skills count waits in ticks
 
 
-class TakesArguments(Protocol):
+class ArgumentOwner(Protocol):
     """A predicate or a skill: the arguments that may name the table, and those that may name a region."""
 
     TABLE_ARGUMENTS: ClassVar[tuple[str, ...]]
@@ -329,7 +329,7 @@ class ProgramTask(Config):
     start_joints: tuple[JointAngle, ...] | None = None
 
     @model_validator(mode="after")
-    def _roles_are_there(self) -> ProgramTask:
+    def _roles_are_there(self, info: ValidationInfo) -> ProgramTask:
         if TABLE in self.things:
             raise ConflictError(f"a role cannot have the name {TABLE!r} of the work surface", ("things", TABLE))
         for role in self.starts:
@@ -356,13 +356,15 @@ class ProgramTask(Config):
                 where = ("goal", *path, *argument.split("."))
                 if role not in (known := {*things, *self.regions, TABLE}):
                     raise ConflictError(f"unknown role {role!r}; {suggest_similar(role, known)}", where)
-                self.check_argument(predicate, argument, role, where)
+                # Earlier versions recorded goals that name the table where it has no effect.
+                if isinstance(predicate, Contains) or not is_recorded_config(info):
+                    self.check_argument(predicate, argument, role, where)
                 if predicate.JUDGES_CLOTH and not self.may_be_cloth(role):
                     raise ConflictError(f"the {role} is not cloth; give a role of cloth", where)
         return self
 
-    def check_argument(self, owner: TakesArguments, argument: str, role: str, where: tuple[str | int, ...]) -> None:
-        """Raise ConflictError with the path `where` if a predicate's or a skill's argument must name an object."""
+    def check_argument(self, owner: ArgumentOwner, argument: str, role: str, where: tuple[str | int, ...]) -> None:
+        """Raise ConflictError with the path `where` if `role` is the table or a region, and the argument cannot be."""
         first = argument.partition(".")[0]
         if role == TABLE and first not in owner.TABLE_ARGUMENTS:
             raise ConflictError(f"`{argument}` cannot be the table; give a role of objects", where)
@@ -371,13 +373,14 @@ class ProgramTask(Config):
 
     @model_validator(mode="after")
     def _regions_are_parts_of_objects(self) -> ProgramTask:
-        names = {TABLE, *self.things, *itertools.chain.from_iterable(map(self.possible_names, self.things))}
+        things = {*self.things, *itertools.chain.from_iterable(map(self._numbered_names, self.things))}
+        names = {TABLE, *things, *itertools.chain.from_iterable(map(self.possible_names, self.things))}
         for name, region in self.regions.items():
             where = ("regions", name, "of")
             if name in names:
                 raise ConflictError(f"{name!r} is the name of an object too; rename the region", ("regions", name))
-            if region.of not in names - {TABLE}:
-                raise ConflictError(f"unknown role {region.of!r}; {suggest_similar(region.of, names - {TABLE})}", where)
+            if region.of not in things:
+                raise ConflictError(f"unknown role {region.of!r}; {suggest_similar(region.of, things)}", where)
             if len(self.typical_roles.objects_of(region.of)) > 1:
                 some = ", ".join(self._numbered_names(region.of))
                 raise ConflictError(f"several objects have the role {region.of}; give one of {some}", where)
@@ -396,7 +399,8 @@ class ProgramTask(Config):
                         f"the {predicate.pieces_of} has no loose pieces; add `filled` to the role, or give another one",
                         (*where, "pieces_of"),
                     )
-                if predicate.least_g > (total := role.filled.grams * role.count):
+                count = len(self.typical_roles.objects_of(predicate.pieces_of))
+                if predicate.least_g > (total := role.filled.grams * count):
                     raise ConflictError(
                         f"{predicate.least_g:g} g are more than the {total:g} g of pieces; give less",
                         (*where, "least_g"),

@@ -121,8 +121,7 @@ class SimWorld:
         return float(np.linalg.norm(self.data.qvel[dof : dof + 3]))
 
     def are_touching(self, one: str, other: str) -> bool:
-        """Return whether two objects touch. A contact with an object counts for all its regions."""
-        one, other = (self._regions[name].thing if name in self._regions else name for name in (one, other))
+        """Return whether two objects touch."""
         first, second = (self._in_contact(name) for name in (one, other))
         return bool(((first[:, 0] & second[:, 1]) | (first[:, 1] & second[:, 0])).any())
 

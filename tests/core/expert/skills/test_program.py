@@ -222,6 +222,9 @@ def test_an_invalid_step_is_refused_with_its_key_path(step: dict[str, Any], path
 class FailingElsewhere(Failing):
     """A skill of another package."""
 
+    ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    thing: str = "cube"
+
 
 def _entry_points(**places: str) -> dict[str, tuple[EntryPoint, ...]]:
     return {name: (EntryPoint(name, place, program.SKILL_GROUP),) for name, place in places.items()}
@@ -233,10 +236,11 @@ def test_skills_of_other_packages_are_found_by_their_entry_points(monkeypatch: p
         lost="yamsim_cli.no_such_module:Lost",
         gone=f"{__name__}:NoSuchClass",
         other=f"{__name__}:CAST",
+        empty=f"{__name__}:Failing",
     )
     points["twice"] = points["fail"] + points["lost"]
     monkeypatch.setattr(program, "_skill_entry_points", lambda: points)
-    assert program.skill_names()[-5:] == ("fail", "lost", "gone", "other", "twice")
+    assert program.skill_names()[-6:] == ("fail", "lost", "gone", "other", "empty", "twice")
     (skill,) = parse_program([{"fail": {"times": 2}}], CAST)
     assert skill == FailingElsewhere(times=2) and program.skill_name(skill) == "fail"
     for name, said in (
@@ -246,7 +250,8 @@ def test_skills_of_other_packages_are_found_by_their_entry_points(monkeypatch: p
         ),
         ("gone", r"the skill 'gone' \(.*:NoSuchClass\) cannot be loaded"),
         ("other", r"the skill 'other' \(.*:CAST\) is not a subclass of Skill"),
-        ("twice", r"several packages have a skill 'twice' \(.*FailingElsewhere, .*Lost\); uninstall all but one"),
+        ("empty", r"the skill 'empty' \(.*:Failing\) names no role"),
+        ("twice", r"several packages have a skill 'twice' \(.*FailingElsewhere, .*Lost\); rename the one"),
         ("fial", "unknown skill 'fial'; did you mean 'fail'"),
     ):
         with pytest.raises(ConflictError, match=said):

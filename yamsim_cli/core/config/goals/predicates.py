@@ -132,7 +132,7 @@ class Over(PerPairPredicate):
     Unlike `on`, `over` needs no contact and lets a hand hold the object: the bounding box of a plate ends at its rim.
 
     Attributes:
-        thing, surface: roles.
+        thing, surface: roles; the surface may be `table`.
         gap: largest vertical distance between bottom and top, m.
     """
 
@@ -487,12 +487,13 @@ class Contains(Predicate):
     """The loose pieces in a container weigh between `least_g` and `most_g`; a piece counts if its centre is inside.
 
     Attributes:
-        container: a role; the masses in several containers are added.
+        container: a role or a region; the masses in several containers are added.
         pieces_of: the role whose `filled` defines the pieces.
         least_g, most_g: the range, g; at least one of the two.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("container", "pieces_of")
+    REGION_ARGUMENTS: ClassVar[tuple[str, ...]] = ("container",)
     container: str
     pieces_of: str
     least_g: _Grams = 0.0

@@ -88,8 +88,8 @@ class LinkJoint(Config):
         start: initial position, in the same unit.
         damping: viscous damping, N s/m or N m s/rad.
         friction: dry friction, N or N m.
-        stiff_friction: whether dry friction is stiffer. A load below `friction` then moves the joint 50 times more
-            slowly, at steps of 2 ms.
+        stiff_friction: whether dry friction is stiffer. A load below `friction` then moves the joint more slowly, by a
+            factor of 10 or more at steps of 2 ms.
         armature: added inertia, kg or kg m2.
         pitch: pitch of a screw, m per turn.
         detents: ridges that the joint has to overcome.

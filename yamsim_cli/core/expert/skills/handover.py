@@ -89,7 +89,7 @@ class Handover(Skill):
 
     @property
     def hand_count(self) -> int:
-        """Two: both hands act together."""
+        """Two."""
         return 2
 
     def run(

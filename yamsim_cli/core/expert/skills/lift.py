@@ -35,7 +35,7 @@ class BimanualLift(Skill):
 
     @property
     def hand_count(self) -> int:
-        """Two: both hands act together."""
+        """Two."""
         return 2
 
     def run(

@@ -251,15 +251,19 @@ def skill_class(name: str) -> type[Skill]:
     first, *others = _skill_entry_points()[name]
     if others:
         places = ", ".join(one.value for one in (first, *others))
-        raise ImportError(f"several packages have a skill {name!r} ({places}); uninstall all but one")
+        raise ImportError(f"several packages have a skill {name!r} ({places}); rename the one that is not yamsim's")
     try:
         kind = first.load()
     except Exception as error:  # the module is code of another package
         raise ImportError(
-            f"the skill {name!r} ({first.value}) cannot be loaded: {error}; install its package again"
+            f"the skill {name!r} ({first.value}) cannot be loaded: {error}; correct its package, or install it again"
         ) from error
     if not (isinstance(kind, type) and issubclass(kind, Skill)):
-        raise ImportError(f"the skill {name!r} ({first.value}) is not a subclass of Skill; mend its package")
+        raise ImportError(
+            f"the skill {name!r} ({first.value}) is not a subclass of Skill; correct the entry point in its package"
+        )
+    if not kind.ROLES and kind.roles is Skill.roles:
+        raise ImportError(f"the skill {name!r} ({first.value}) names no role; list its arguments in `ROLES`")
     return kind
 
 
