@@ -10,7 +10,6 @@ import numpy as np
 from .core.config.goals.goal_consistency import find_contradiction
 from .core.config.goals.predicate import Predicate
 from .core.config.goals.predicates import HandedOver, Hung, On, WasHandedOver
-from .core.config.goals.role_assignment import RoleAssignment
 from .core.config.goals.world import TABLE
 from .core.config.objects.object_config import ObjectConfig
 from .core.config.program_task import ProgramTask
@@ -89,7 +88,7 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
                 )
                 raise ConflictError(f"the {role} {problem}", (*path, argument))
         if isinstance(skill, Place) and skill.on != TABLE:
-            _check_support(task, roles, skill, path)
+            _check_support(task, skill, path)
         if isinstance(skill, Fold):
             _check_fold(task, skill, path)
     if (found := find_contradiction(task.goal)) is not None:
@@ -125,8 +124,8 @@ def _check_fold(task: ProgramTask, skill: Fold, path: tuple[str | int, ...]) -> 
             )
 
 
-def _check_support(task: ProgramTask, roles: RoleAssignment, skill: Place, path: tuple[str | int, ...]) -> None:
-    role = next(name for name in task.things if skill.on in (name, *roles.objects_of(name)))
+def _check_support(task: ProgramTask, skill: Place, path: tuple[str | int, ...]) -> None:
+    role = task.role_of(skill.on)
     for k, item in enumerate(task.things[role].of):
         if item.cloth is None and not item.can_support:
             raise ConflictError(

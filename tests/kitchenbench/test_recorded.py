@@ -200,7 +200,7 @@ def test_other_goals_hold_only_when_the_benchmarks_checker_says_so(name: str, lo
     path, _, epoch = name.partition("@")
     scene_id = path.replace("_", "-").replace("/", "-")
     scene = next(one for one in tasks.TASK_FACTORIES[path.partition("/")[0]]().scenes if one.id == scene_id)
-    # The goal's amounts are those of the realization that the task is named after.
+    # The task's name gives the realization, and the realization gives the amounts in the goal.
     blueprint = build_blueprint(scene, derive_seed(0, scene.init_seed, int(epoch or 0)))
     filled = {item.name: item.parent or item.name for item in blueprint.objects}
     with SimulatorCache(_session(data, locations)) as simulators:

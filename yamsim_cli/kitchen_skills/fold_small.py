@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
 from ..core.attempt_data import FailureCause
+from ..core.config.goals.cloth_predicates import FoldedSmall
 from ..core.config.goals.role_assignment import RoleAssignment
 from ..core.expert.skills.cloth.cloth_motions import carry_points
 from ..core.expert.skills.cloth.flatten import flatten_cloth
@@ -69,6 +70,7 @@ class FoldSmall(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    HANDS: ClassVar[int] = 2
     HANDLES_CLOTH: ClassVar[bool] = True
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
     thing: str
@@ -76,11 +78,6 @@ class FoldSmall(Skill):
     share: Annotated[Share, Field(gt=0)] | None = None
     thirds: bool = False
     crumpled: bool = False
-
-    @property
-    def hand_count(self) -> int:
-        """Two."""
-        return 2
 
     @model_validator(mode="after")
     def _exactly_one_given(self) -> FoldSmall:
@@ -94,11 +91,7 @@ class FoldSmall(Skill):
         The goal's box is larger by half the cloth's thickness on each side. The skill also aims at 2 % less than the
         goal's area.
         """
-        required = self.area
-        if required is None:
-            assert self.share is not None  # checked with the config
-            low, high = world.start_aabb(thing)
-            required = self.share * float(np.prod((high - low)[:2]))
+        required = FoldedSmall(thing=self.thing, area=self.area, share=self.share).largest_area(world, thing)
         side = math.sqrt(required) - world.cloth_addresses(thing).thickness
         return float(side**2) * _LIMIT_MARGIN
 

@@ -70,15 +70,11 @@ class OpenLid(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    HANDS: ClassVar[int] = 2
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
     thing: str
     joint: str = "lid"
     to: Annotated[FiniteFloat, Field(ge=0, le=1)] = 0.8
-
-    @property
-    def hand_count(self) -> int:
-        """Two."""
-        return 2
 
     def task_fault(self, task: ProgramTask) -> tuple[str, str] | None:
         """Check that each object has a lid with a handle, and a handle at which a hand can steady it."""

@@ -13,7 +13,7 @@ from ..config.program_task import ProgramTiming
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene
 from ..sim.encoder_readings import delayed_positions, encoder_readings
-from ..sim.sim_world import SimWorld, make_sim_world
+from ..sim.sim_world import make_sim_world
 from .episode_rules import EndReason, EndRule, EpisodeEnd, EpisodeRules
 from .grasps import is_weld_active, make_grasp_simulator
 from .held_objects import HeldObjectSlipMonitor
@@ -75,7 +75,6 @@ class Episode:
         start: MuJoCo's positions (nq,), at rest.
         sides: "left" or "right" for each arm.
         goal: None if the caller decides about success.
-        world: makes the `SimWorld`; by default one with all objects.
     """
 
     def __init__(
@@ -87,14 +86,13 @@ class Episode:
         goal: EpisodeGoal | None,
         rules: EpisodeRules | None = None,
         *,
-        world: Callable[[mujoco.MjData], SimWorld] | None = None,
         on_step: PhysicsStepCallback | None = None,
     ) -> None:
         self.scene, self._timing, self._goal = scene, timing, goal
         self._rules, self._on_step = rules or EpisodeRules(), on_step
         self.data = mujoco.MjData(scene.model)
         scene.reset(self.data, start)
-        self.world = make_sim_world(scene, self.data, sides) if world is None else world(self.data)
+        self.world = make_sim_world(scene, self.data, sides)
         self.world.store_start()
         self._grasp = make_grasp_simulator(scene, self._rules.weld_reach)
         self._monitor = StepMonitor(scene, timing.physics_steps_per_tick)

@@ -105,15 +105,19 @@ class FoldedSmall(PerObjectPredicate):
             raise ValueError("give either `area` or `share`")
         return self
 
+    def largest_area(self, world: GoalWorld, thing: str) -> float:
+        """Return the largest area of the box of an object, m2."""
+        if self.area is not None:
+            return self.area
+        assert self.share is not None  # checked with the config
+        return self.share * _footprint(*world.start_aabb(thing))
+
     def _object_measures(self, world: GoalWorld, thing: str) -> list[GoalMeasure]:
         what = f"folded_small({thing})"
         if held := failure_if_held(world, thing, what):
             return [held]
         low, high = world.aabb(thing)
-        area, limit = _footprint(low, high), self.area
-        if limit is None:
-            assert self.share is not None  # checked with the config
-            limit = self.share * _footprint(*world.start_aabb(thing))
+        area, limit = _footprint(low, high), self.largest_area(world, thing)
         tall = float(high[2] - low[2])
         detail = f"its box covers {area * 1e4:.0f} cm2, of {limit * 1e4:.0f} allowed"
         return [

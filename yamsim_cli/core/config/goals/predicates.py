@@ -489,7 +489,7 @@ class Contains(Predicate):
     Attributes:
         container: a role or a region; the masses in several containers are added.
         pieces_of: the role whose `filled` defines the pieces.
-        least_g, most_g: the range, g; at least one of the two.
+        least_g, most_g: the limits of the mass, g. At least one of them is given.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("container", "pieces_of")

@@ -80,17 +80,13 @@ class Handover(Skill):
 
     TYPICAL_SECONDS: ClassVar[float] = 4.7
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    HANDS: ClassVar[int] = 2
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = True
     LEAVES_OBJECT_HELD: ClassVar[bool | None] = True
     PLACES: ClassVar[tuple[tuple[float, float, float, float], ...]] = _SEARCH_ORDER
     thing: str
     to: Literal["left", "right", "first", "second", "other"] = "other"
     height: Distance = 0.22
-
-    @property
-    def hand_count(self) -> int:
-        """Two."""
-        return 2
 
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]

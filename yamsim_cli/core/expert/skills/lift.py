@@ -28,15 +28,11 @@ class BimanualLift(Skill):
 
     TYPICAL_SECONDS: ClassVar[float] = 3.7
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    HANDS: ClassVar[int] = 2
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
     LEAVES_OBJECT_HELD: ClassVar[bool | None] = True
     thing: str
     by: Distance = 0.10
-
-    @property
-    def hand_count(self) -> int:
-        """Two."""
-        return 2
 
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]

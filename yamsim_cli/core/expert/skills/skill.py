@@ -28,6 +28,7 @@ class Skill(Config):
     # allowed before, and the skill does not change it.
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = None
     LEAVES_OBJECT_HELD: ClassVar[bool | None] = None
+    HANDS: ClassVar[int] = 1  # that the skill needs
     # Whether the skill manipulates cloth, else rigid objects; roles in `ROLES_OF_ANY_MATERIAL` may be either.
     HANDLES_CLOTH: ClassVar[bool] = False
     ROLES_OF_ANY_MATERIAL: ClassVar[tuple[str, ...]] = ()
@@ -83,8 +84,8 @@ class Skill(Config):
 
     @property
     def hand_count(self) -> int:
-        """Number of hands that the skill needs."""
-        return 1
+        """Number of hands that the skill needs with its arguments."""
+        return self.HANDS
 
     def roles(self) -> tuple[tuple[str, str], ...]:
         """Return (argument, role) of all given arguments that name a role."""
