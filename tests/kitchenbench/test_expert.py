@@ -6,6 +6,7 @@ import gc
 import math
 import weakref
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import mujoco
@@ -46,14 +47,21 @@ from yamsim_cli.core.expert.skills.planning_context import (
 from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_from_vector
 from yamsim_cli.core.scene.start_sampling import footprint_corners, footprint_distance
 from yamsim_cli.core.sim.sim_world import SimWorld
-from yamsim_cli.kitchen_skills.sorting import PickNarrowObject, PlaceInCompartment, PutBesideTray, Slide, Sort
+from yamsim_cli.kitchen_skills.sorting import (
+    PickNarrowObject,
+    PlaceInCompartment,
+    PutBesideTray,
+    Slide,
+    Sort,
+    is_on_side,
+)
 from yamsim_cli.kitchenbench.asset_configs import object_config_of
 from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene, open_station_session
 from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment
-from yamsim_cli.kitchenbench.policy import PlanningScene, YamsimExpert, is_still, segment_actions
+from yamsim_cli.kitchenbench.policy import PlanningScene, YamsimExpert, is_still, run_expert, segment_actions
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper, commanded_opening, commanded_share, scene_fingers
 from yamsim_cli.kitchenbench.skill_programs import build_scene_program
-from yamsim_cli.kitchenbench.success_judges import KitchenWorld
+from yamsim_cli.kitchenbench.success_judges import KitchenJudge, KitchenWorld
 
 BASES = [np.array((0.0, 0.305)), np.array((0.0, -0.305))]
 SCENES = {scene.id: scene for factory in tasks.TASK_FACTORIES.values() for scene in factory().scenes}
@@ -227,16 +235,21 @@ def test_a_piece_is_put_down_where_it_can_be_taken_on() -> None:
         planning.close()
 
 
+@contextmanager
+def _overlapping_cutlery(realization: int) -> Iterator[tuple[PlanningScene, KitchenJudge]]:
+    scene = SCENES["sort-cutlery-overlapping"]
+    seed = derive_seed(0, scene.init_seed, realization)
+    realized = build_benchmark_scene(build_blueprint(scene, seed), open_station_session("64x48", images=False))
+    planning = PlanningScene(realized, seed, 10)
+    yield planning, KitchenJudge(realized, planning.motion)
+    planning.close()
+
+
 @pytest.fixture
 def tray_scene() -> Iterator[PlanningScene]:
     """Cutlery in a tray's compartments, a fork beside the left wall."""
-    scene = SCENES["sort-cutlery-overlapping"]
-    seed = derive_seed(0, scene.init_seed, 0)
-    planning = PlanningScene(
-        build_benchmark_scene(build_blueprint(scene, seed), open_station_session("64x48", images=False)), seed, 10
-    )
-    yield planning
-    planning.close()
+    with _overlapping_cutlery(0) as (planning, _):
+        yield planning
 
 
 @pytest.mark.slow
@@ -275,6 +288,27 @@ def test_what_lies_beside_a_wall_is_slid_away_from_it(tray_scene: PlanningScene)
     while len(tray_scene.next_actions()) > 1:
         pass
     assert before - tray_scene.context.world.pose("cutlery_2")[1, 3] > 0.002
+
+
+@pytest.mark.slow
+def test_cutlery_on_its_side_is_made_to_fall_over() -> None:
+    with _overlapping_cutlery(4) as (planning, _):
+        world = planning.context.world
+        assert is_on_side(world, "cutlery_5")
+        cast = RoleAssignment({"cutlery_5": ("cutlery_5",)}, {"cutlery_5": "fork"})
+        planning.start_program([Slide(thing="cutlery_5")], cast)
+        while len(planning.next_actions()) > 1:
+            pass
+        assert not is_on_side(world, "cutlery_5")
+
+
+@pytest.mark.slow
+def test_fingers_that_open_beside_a_wall_leave_the_tray_where_it_is() -> None:
+    """Ten pieces of cutlery lie in the tray and beside it."""
+    with _overlapping_cutlery(0) as (planning, judge):
+        before = planning.context.world.pose("tray")[:3, 3].copy()
+        assert run_expert(planning, judge, 200) < 200 and judge.evaluate()[0]
+        np.testing.assert_allclose(planning.context.world.pose("tray")[:3, 3], before, atol=0.003)
 
 
 def test_the_arm_that_receives_is_the_one_that_is_asked_for() -> None:

@@ -17,12 +17,18 @@ from ..core.attempt_data import FailureCause
 from ..core.config.goals.role_assignment import RoleAssignment
 from ..core.config.goals.world import TABLE
 from ..core.config.program_task import ProgramTask
-from ..core.expert.skills.common_motions import open_and_park_hands, park_free_hands, release_and_retreat, rest_segment
+from ..core.expert.skills.common_motions import (
+    open_and_park_hands,
+    park_free_hands,
+    plan_held_object_line,
+    release_and_retreat,
+    rest_segment,
+)
 from ..core.expert.skills.grasp_candidates import is_orientation_plausible
 from ..core.expert.skills.hand import WAYPOINT_TOLERANCE, Hand, HeldObject
 from ..core.expert.skills.handover import Handover
 from ..core.expert.skills.pick import Pick, ReachableGrasp
-from ..core.expert.skills.place import HOVER_HEIGHT, PlaceSkill, pose_raised_by
+from ..core.expert.skills.place import HOVER_HEIGHT, RELEASE_GAP, PlaceSkill, pose_raised_by
 from ..core.expert.skills.planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from ..core.expert.skills.skill import ArmSelector, Skill, find_holding_hand
 from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_z, yaw
@@ -42,6 +48,8 @@ _GRID_STEP = 0.02  # m, largest step between places in a compartment
 _HEIGHT_STEP = 0.001  # m; a place that is lower by this is better
 _FREE_DISTANCE = 0.003  # m from all other objects; a free place is preferred
 _MAX_PLACES = 12  # free places for each orientation, and occupied places
+_RELEASE_SHARES = (1.0, 0.7, 0.4)  # of the usual additional opening of each finger, in the order tried
+_RELEASE_DISTANCE = 0.001  # m, least distance of opened fingers from walls and other objects
 _DROP_HEIGHT = 0.010  # m, height of release where fingers would touch the tray; no other value was tried
 _TABLE_GRID_STEP = 0.04  # m, between places on the table
 _MAX_ASIDE_DISTANCE = 0.30  # m, of a place on the table from the object
@@ -56,6 +64,8 @@ _MAX_FREE_DISTANCE = 0.040  # m, largest measured free distance on each side bef
 _MIN_SLIDE = 0.005  # m, shorter slides are not tried
 _MIN_SLID_DISTANCE = 0.002  # m; an object that moved less has not slid
 _FLAT_HEIGHT = 0.006  # m, pressed top over the object's lowest point; a higher part would roll
+_EDGE_HEIGHT = 0.006  # m, under the top of an object on its side, of parts whose edge is pressed
+_TOPPLING_DISTANCE = 0.025  # m, path of the pressing hand that makes an object on its side fall over
 _PRESS_POINT_SPACING = 0.012  # m, between places to press
 _APPROACH_HEIGHT = 0.07  # m over the pressing pose, where the descent starts
 _CHECK_HEIGHT = 0.012  # m over the pressing pose, where contacts with other objects are checked
@@ -120,6 +130,23 @@ class PlaceInCompartment(PlaceSkill):
             for place in itertools.product(*(_places_between(first[k], last[k]) for k in (0, 1))):
                 off = math.hypot(*(np.array(place) - (first + last) / 2))
                 yield off, pose((T @ (*place, 0.0, 1.0))[:3], R)
+
+    def _lower_and_release(
+        self, context: PlanningContext, hand: Hand, thing: str, T_goal: Array
+    ) -> Iterator[MotionSegment]:
+        """Yield the motions that lower the object and release it, with fingers that do not press on the walls."""
+        T_release = pose_raised_by(T_goal, RELEASE_GAP)
+        yield context.make_segment({hand: plan_held_object_line(context, hand, T_release, self.LOWERING_SPEED)})
+        yield rest_segment(context)
+        clearances = [share * context.release_clearance(thing) for share in _RELEASE_SHARES]
+        free = (
+            clearance
+            for clearance in clearances
+            if not context.find_contact(
+                hand, hand.joints, hand.opening + clearance, grasped=thing, finger_clearance=_RELEASE_DISTANCE
+            )
+        )
+        yield from release_and_retreat(context, hand, next(free, clearances[-1]), _RELEASE_DISTANCE)
 
     def _hover_joints(self, hand: Hand, T_pinch: Array) -> Array | None:
         """Return joints (dof,) over the goal, if needed by a search from the joints at the goal."""
@@ -236,7 +263,10 @@ class _PressPose:
 
 
 class Slide(Skill):
-    """Press closed fingers onto a flat object, and slide it sideways to the middle of its free space."""
+    """Press closed fingers onto an object, and slide it sideways to the middle of its free space.
+
+    An object on its side is pressed on its upper edge, and falls over.
+    """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
@@ -253,21 +283,30 @@ class Slide(Skill):
             context.collision_checker.free_distance(context.qpos, thing, side * across, _MAX_FREE_DISTANCE)
             for side in (1.0, -1.0)
         )
-        distance = (one - other) / 2
-        if abs(distance) < _MIN_SLIDE:
+        if on_side := is_on_side(context.world, thing):
+            toppling = math.copysign(_TOPPLING_DISTANCE, one - other)
+            distances = [toppling, -toppling]
+        elif abs(one - other) / 2 >= _MIN_SLIDE:
+            distances = [(one - other) / 2]
+        else:
             raise SkillFailedError(
                 FailureCause.UNREACHABLE, f"the {thing} has no more room on one side than on the other"
             )
-        shift = distance * across
         before = context.world.pose(thing)[:2, 3].copy()
-        hands = context.free_hands(self.arm)
-        for hand in sorted(hands, key=lambda hand: float(np.linalg.norm(hand.arm.T_base_in_world[:2, 3] - before))):
+        hands = sorted(
+            context.free_hands(self.arm),
+            key=lambda hand: float(np.linalg.norm(hand.arm.T_base_in_world[:2, 3] - before)),
+        )
+        for distance, hand in itertools.product(distances, hands):
+            shift = distance * across
             for press in self._press_poses(context, hand, thing, shift):
                 yield from park_free_hands(context, hand)
                 yield from _slide_motions(context, hand, press, shift)
                 moved = float((context.world.pose(thing)[:2, 3] - before) @ shift) / abs(distance)
-                if moved < _MIN_SLID_DISTANCE:
-                    raise SkillFailedError(FailureCause.OFF_TARGET, f"the {thing} did not slide")
+                if is_on_side(context.world, thing) if on_side else moved < _MIN_SLID_DISTANCE:
+                    raise SkillFailedError(
+                        FailureCause.OFF_TARGET, f"the {thing} did not {'fall over' if on_side else 'slide'}"
+                    )
                 return
         raise SkillFailedError(FailureCause.UNREACHABLE, f"no arm reaches a place where it could press on the {thing}")
 
@@ -277,7 +316,7 @@ class Slide(Skill):
         down = np.array((0.0, 0.0, -1.0))
         upright = np.column_stack([np.cross((*away, 0.0), down), (*away, 0.0), down])
         far = np.array((*(shift + _OVERTRAVEL * away), 0.0))
-        places = _flat_press_points(context, thing, away)
+        places = _press_points(context, thing, away)
         for tilt, lean, place, turn in itertools.product(_SIDE_TILTS, _LONG_TILTS, places, (0.0, math.pi)):
             turned = rotation_from_vector([tilt, 0.0, 0.0]) @ rotation_from_vector([0.0, lean, 0.0])
             R = upright @ turned @ rotation_from_vector([0.0, 0.0, turn])
@@ -320,16 +359,26 @@ def _slide_direction(context: PlanningContext, thing: str) -> Array:
     return across
 
 
-def _flat_press_points(context: PlanningContext, thing: str, away: Array) -> list[Array]:
-    """Return points (3,) on top of an object's flat parts in `world`, m, the farthest along the slide first."""
+def _press_points(context: PlanningContext, thing: str, away: Array) -> list[Array]:
+    """Return points (3,) on top of an object's flat parts in `world`, m, the farthest along the slide first.
+
+    If the object is on its side, the points are on its upper edge.
+    """
     bounds = context.world.geom_aabbs(thing)
-    lowest, middle = context.world.aabb(thing)[0][2], context.world.pose(thing)[:2, 3]
-    low = [(*(first + last)[:2] / 2, last[2]) for first, last in bounds if last[2] < lowest + _FLAT_HEIGHT]
+    (lowest, highest), middle = np.array(context.world.aabb(thing))[:, 2], context.world.pose(thing)[:2, 3]
+    on_side = is_on_side(context.world, thing)
+    tops = [np.array((*(first + last)[:2] / 2, last[2])) for first, last in bounds]
+    low = [top for top in tops if (top[2] > highest - _EDGE_HEIGHT if on_side else top[2] < lowest + _FLAT_HEIGHT)]
     found: list[Array] = []
-    for place in sorted(map(np.array, low), key=lambda place: -float((place[:2] - middle) @ away)):
+    for place in sorted(low, key=lambda place: -float((place[:2] - middle) @ away)):
         if all(np.linalg.norm(place - other) > _PRESS_POINT_SPACING for other in found):
             found.append(place)
     return found
+
+
+def is_on_side(world: SimWorld, thing: str) -> bool:
+    """Whether an object lies on its side."""
+    return abs(float(world.pose(thing)[2, 2])) < _TILTED_COSINE
 
 
 class Sort(Skill):
@@ -415,7 +464,7 @@ class Sort(Skill):
         """
         pick = PickNarrowObject(thing=name, lift=_LIFT_HEIGHT)
         put = PlaceInCompartment(thing=name, into=self._compartments(roles)[name], beside=tuple(self.into))
-        if number == 2:
+        if number == 2 or is_on_side(context.world, name):
             with suppress(SkillFailedError):
                 yield from Slide(thing=name).run(context, roles, (pick,))
         if number == 3:

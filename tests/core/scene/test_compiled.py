@@ -10,32 +10,52 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
+from yamsim_cli.core.scene.compiled import solver_failed
 
 
-def test_a_step_without_a_solution_is_made_again_with_another_solver(
-    config: RecordConfig, locations: Locations, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("failures", [1, 2])
+def test_a_step_that_ends_far_from_a_solution_is_repeated(
+    config: RecordConfig, locations: Locations, monkeypatch: pytest.MonkeyPatch, failures: int
 ) -> None:
+    """The first repetition starts without the last accelerations, and the second one takes the other solver."""
     scene = build_scene(Session(config, locations).without_meshes())
     step, newton, solvers = mujoco.mj_step, scene.model.opt.solver, list[int]()
-    failing = 3
+    first = 3
 
-    def step_that_fails_once(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    def step_that_fails(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         solvers.append(model.opt.solver)
         step(model, data)
-        if len(solvers) == failing:
+        if first <= len(solvers) < first + failures:
             data.qvel[-1] = 23_000.0
+            assert data.solver_niter[0] > 0
+            data.solver.gradient[data.solver_niter[0] - 1] = 67.0
 
     data, expected = mujoco.MjData(scene.model), mujoco.MjData(scene.model)
     for state in (data, expected):
         scene.reset(state, scene.model.qpos0)
-    monkeypatch.setattr(mujoco, "mj_step", step_that_fails_once)
+    monkeypatch.setattr(mujoco, "mj_step", step_that_fails)
     scene.step(data, 5)
-    cg = int(mujoco.mjtSolver.mjSOL_CG)
-    assert solvers == [newton, newton, newton, cg, newton, newton] and scene.model.opt.solver == newton
+    last = newton if failures == 1 else int(mujoco.mjtSolver.mjSOL_CG)
+    assert solvers == [newton] * (2 + failures) + [last, newton, newton] and scene.model.opt.solver == newton
     monkeypatch.undo()
     for number in range(1, 6):
-        scene.model.opt.solver = cg if number == failing else newton
+        if number == first:
+            expected.qacc_warmstart[:] = 0.0
+        scene.model.opt.solver = last if number == first else newton
         step(scene.model, expected)
     np.testing.assert_array_equal(data.qpos, expected.qpos)
     np.testing.assert_array_equal(data.qvel, expected.qvel)
     assert data.time == expected.time
+
+
+def test_only_newtons_method_can_fail(config: RecordConfig, locations: Locations) -> None:
+    """The CG solver often stops after its last iteration, near a solution."""
+    scene = build_scene(Session(config, locations).without_meshes())
+    data = mujoco.MjData(scene.model)
+    scene.reset(data, scene.model.qpos0)
+    mujoco.mj_step(scene.model, data)
+    assert not solver_failed(scene.model, data)
+    data.solver.gradient[data.solver_niter[0] - 1] = 67.0
+    assert solver_failed(scene.model, data)
+    scene.model.opt.solver = mujoco.mjtSolver.mjSOL_CG
+    assert not solver_failed(scene.model, data)

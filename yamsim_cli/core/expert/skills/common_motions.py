@@ -30,8 +30,13 @@ def close_fingers_on(context: PlanningContext, hand: Hand, candidate: GraspCandi
     yield rest_segment(context)
 
 
-def release_and_retreat(context: PlanningContext, hand: Hand, clearance: float) -> Iterator[MotionSegment]:
-    """Open each finger by a clearance (m), and move the hand back along its axis or up."""
+def release_and_retreat(
+    context: PlanningContext, hand: Hand, clearance: float, finger_distance: float | None = None
+) -> Iterator[MotionSegment]:
+    """Open each finger by a clearance (m), and move the hand back along its axis or up.
+
+    `finger_distance` is the least distance of the fingers from other objects, m; None for the arm's distance.
+    """
     opening = min(hand.opening + clearance, hand.max_opening)
     hand.weld_commanded = False
     yield context.make_segment(
@@ -41,7 +46,9 @@ def release_and_retreat(context: PlanningContext, hand: Hand, clearance: float) 
     # Open fingers are still near the object. If no path is free of contacts, the first path is used.
     retreat: Array | None = None
     for path in _retreat_paths(context, hand):
-        if is_collision_free(path, lambda joints: context.find_contact(hand, joints, opening, grasped=thing)):
+        if is_collision_free(
+            path, lambda joints: context.find_contact(hand, joints, opening, None, thing, finger_distance)
+        ):
             retreat = path
             break
         retreat = path if retreat is None else retreat
