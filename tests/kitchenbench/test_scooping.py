@@ -17,7 +17,7 @@ pytest.importorskip("kitchenbench", reason="needs yamsim[inspect]")
 from kitchenbench import tasks
 
 from tests.kitchenbench.realizations import blueprint_of, seed_of
-from yamsim_cli.core.config.program_task import Role
+from yamsim_cli.core.config.task_objects import Role
 from yamsim_cli.core.expert.skills.planning_context import SkillFailedError
 from yamsim_cli.core.geometry.se3 import pose, rotation_z
 from yamsim_cli.kitchen_skills import scoop, scoop_strokes

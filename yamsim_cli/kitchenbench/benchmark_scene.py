@@ -15,9 +15,10 @@ from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
 from ..core.attempt_data import ObjectLayout
 from ..core.config.goals.role_assignment import RoleAssignment
 from ..core.config.objects.object_config import ObjectConfig
-from ..core.config.program_task import PROGRAM_KIND, Filling, ProgramTask, Region, TableArea
+from ..core.config.program_task import PROGRAM_KIND, ProgramTask
 from ..core.config.recording import RecordConfig
 from ..core.config.session import Session
+from ..core.config.task_objects import Filling, Region, TableArea
 from ..core.episode.episode import Episode
 from ..core.episode.expert import arm_sides
 from ..core.episode.simulator import Simulator

@@ -15,7 +15,7 @@ from kitchenbench.sim.blueprint import SceneBlueprint, SceneObject
 from ..core.config.loader import load_config
 from ..core.config.objects.object_config import ObjectConfig
 from ..core.config.objects.primitives import Box, Capsule
-from ..core.config.program_task import Filling
+from ..core.config.task_objects import Filling
 from ..core.files.resources import Locations
 from ..loose_pieces import piece_count
 from .asset_configs import COMPARTMENT, object_config_of, shape_data, with_shape

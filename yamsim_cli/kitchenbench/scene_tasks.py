@@ -14,7 +14,8 @@ from kitchenbench.sim import build_blueprint
 from kitchenbench.sim.blueprint import SceneBlueprint
 
 from ..core.config.goals.world import TABLE
-from ..core.config.program_task import PROGRAM_KIND, Region
+from ..core.config.program_task import PROGRAM_KIND
+from ..core.config.task_objects import Region
 from ..core.errors import UsageError, suggest_similar
 from ..core.expert.skills.program import skill_name
 from ..core.files.documents.config_base import Config
