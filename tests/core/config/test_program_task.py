@@ -98,6 +98,11 @@ BAD = {
         "expert[0].fold.how",
         "along a diagonal: that needs equally many points along both sides, not 9 x 13",
     ),
+    "folded to no size": (
+        {("expert",): [{"fold_small": {"thing": "cube"}}]},
+        "expert[0].fold_small",
+        "give either `area` or `share`",
+    ),
     "nothing to hang it by": (
         {("expert",): [PICK, {"hang": {"thing": "cube", "onto": "plate"}}]},
         "expert[1].hang.thing",
