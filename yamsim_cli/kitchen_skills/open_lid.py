@@ -124,41 +124,48 @@ class OpenLid(Skill):
         A lid that is pulled near the hand that steadies tips the container least. Among such grasps, the first handles
         of the container are preferred.
         """
-        T_lid, T_base = context.world.part_pose(thing, self.joint), context.world.pose(thing)
         handles = context.object_configs[thing].handles
         pairs: list[tuple[int, int, _Reach, _Reach]] = []
-        fault = "no two arms reach it and its lid without contact"
-        for opener, steadier in itertools.permutations(context.free_hands("any"), 2):
-            grips = list(_reaches(context, opener, thing, link.handles, T_lid))
-            if not grips:
-                fault = f"the {opener.side} arm does not reach its lid"
-            for steady, grip in itertools.product(_reaches(context, steadier, thing, handles, T_base), grips):
-                lever = float(np.linalg.norm((grip.T_pinch - steady.T_pinch)[:2, 3]))
-                pairs.append((round(lever / _SIMILAR_LEVER), handles.index(steady.handle), steady, grip))
+        reached, fault = self._reached_handles(context, thing, link)
+        for steady, grip in itertools.chain.from_iterable(itertools.product(*reaches) for reaches in reached):
+            lever = float(np.linalg.norm((grip.T_pinch - steady.T_pinch)[:2, 3]))
+            pairs.append((round(lever / _SIMILAR_LEVER), handles.index(steady.handle), steady, grip))
         for _, _, steady, grip in sorted(pairs, key=lambda pair: pair[:2]):
             if _can_approach(context, steady, thing, grip):
                 return steady, grip
-        raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to open the {thing}: {fault}")
+        raise SkillFailedError(FailureCause.UNREACHABLE, fault)
 
     def _find_turn(self, context: PlanningContext, thing: str, link: Link) -> tuple[_Reach, _Reach, float]:
         """Return grasps of the container and of its lid that leave both hands room, and the angle of a turn, rad."""
-        T_lid, T_base = context.world.part_pose(thing, self.joint), context.world.pose(thing)
         best: tuple[float, _Reach, _Reach] | None = None
+        reached, fault = self._reached_handles(context, thing, link)
+        for steadies, grips in reached:
+            for steady, postures in itertools.product(steadies, _possible_turns(grips)):
+                found = _longest_turn(context, steady, thing, postures)
+                if found is not None and (best is None or found[0] > best[0] + _SIMILAR_TURN):
+                    best = (found[0], steady, found[1])
+        if best is None:
+            raise SkillFailedError(FailureCause.UNREACHABLE, fault)
+        return best[1], best[2], best[0]
+
+    def _reached_handles(
+        self, context: PlanningContext, thing: str, link: Link
+    ) -> tuple[list[tuple[list[_Reach], list[_Reach]]], str]:
+        """Return the grasps of the container by one hand and of its lid by the other, for each two hands.
+
+        The text says why the lid cannot be opened if no two of these grasps leave both hands room.
+        """
+        T_lid, T_base = context.world.part_pose(thing, self.joint), context.world.pose(thing)
+        found: list[tuple[list[_Reach], list[_Reach]]] = []
         fault = "no two arms reach it and its lid without contact"
         for opener, steadier in itertools.permutations(context.free_hands("any"), 2):
             grips = list(_reaches(context, opener, thing, link.handles, T_lid))
-            if not grips:
+            if grips:
+                handles = context.object_configs[thing].handles
+                found.append((list(_reaches(context, steadier, thing, handles, T_base)), grips))
+            else:
                 fault = f"the {opener.side} arm does not reach its lid"
-                continue
-            turns = list(_possible_turns(grips))
-            for steady in _reaches(context, steadier, thing, context.object_configs[thing].handles, T_base):
-                for postures in turns:
-                    found = _longest_turn(context, steady, thing, postures)
-                    if found is not None and (best is None or found[0] > best[0] + _SIMILAR_TURN):
-                        best = (found[0], steady, found[1])
-        if best is None:
-            raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to open the {thing}: {fault}")
-        return best[1], best[2], best[0]
+        return found, f"no way to open the {thing}: {fault}"
 
     def _unscrew(
         self, context: PlanningContext, thing: str, link: Link, grip: _Reach, steady: _Reach, turn: float
