@@ -84,6 +84,10 @@ class Skill(Config):
         """
         return None
 
+    def reason_to_be_last(self, task: ProgramTask) -> str | None:
+        """Return why no step can follow this one, with a remedy; None if steps can follow."""
+        return None
+
     def point_on_table(self) -> tuple[str, Array] | None:
         """Return the argument that gives a point of the table, and the point (2,) in `world`, m; None if none does."""
         return None
