@@ -71,6 +71,8 @@ def test_tool_and_container_stand_beside_the_dish(epoch: int, base: Any) -> None
             (44, "110 x 250 x 34") if is_cup else (36, "156 x 230 x 36"),
         )
         assert f"{pieces} solid pieces" in text and f"in a dish of {size} mm" in text
+        cup, spoon = "diameter_mm=84 instead of 78, foot_mm=58 instead of 62", "grip_mm=20 instead of 12"
+        assert f"tool: {cup if is_cup else spoon}" in text
     finally:
         realized.simulator.close()
 

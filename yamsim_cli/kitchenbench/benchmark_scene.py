@@ -45,6 +45,7 @@ from .pasta import (
     STRAND_CONDITION,
     describe_coarse_pieces,
     describe_pile,
+    describe_tool,
     fillings_of,
     is_body,
     is_pile,
@@ -171,9 +172,10 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
         name: round(1000 * float(np.linalg.norm(_horizontal_position(simulator.scene, start, name) - T[:2, 3])), 2)
         for name, T in wanted.items()
     }
-    coarse = [describe_coarse_pieces(name, one, blueprint, base.locations) for name, one in fillings.items()]
-    coarse += [describe_pile(item, blueprint) for item in things if is_pile(item)]
-    unrealized = (*_unrealized_conditions(blueprint, offsets), *coarse)
+    differences = [describe_coarse_pieces(name, one, blueprint, base.locations) for name, one in fillings.items()]
+    differences += [describe_pile(item, blueprint) for item in things if is_pile(item)]
+    differences += [describe_tool(item, blueprint, base.locations) for item in things]
+    unrealized = (*_unrealized_conditions(blueprint, offsets), *differences)
     return BenchmarkScene(blueprint, simulator, start, offsets, tuple(filter(None, unrealized)))
 
 

@@ -215,3 +215,12 @@ def describe_pile(item: SceneObject, blueprint: SceneBlueprint) -> str:
     pile = _pile_for(blueprint)
     size = " x ".join(f"{side:.0f}" for side in pile.dish_mm) + " mm"
     return f"{item.name}: {pile.grams:.0f} g in pieces of {pile.length_mm:.0f} mm, in a dish of {size}{depth}"
+
+
+def describe_tool(item: SceneObject, blueprint: SceneBlueprint, locations: Locations) -> str:
+    """Return the sizes in which a tool to scoop with differs from the same object in other scenes, or ""."""
+    if blueprint.target_kind != SCOOP or item.asset not in _TOOL_SIZES:
+        return ""
+    usual = shape_data(object_config_of(item, blueprint.conditions, locations, nests=False))
+    sizes = _TOOL_SIZES[item.asset].items()
+    return f"{item.name}: {', '.join(f'{key}={size:g} instead of {usual[key]:g}' for key, size in sizes)}"
