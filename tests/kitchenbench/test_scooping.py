@@ -17,8 +17,11 @@ pytest.importorskip("kitchenbench", reason="needs yamsim[inspect]")
 from kitchenbench import tasks
 
 from tests.kitchenbench.realizations import blueprint_of, seed_of
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.config.task_objects import Role
 from yamsim_cli.core.expert.skills.planning_context import SkillFailedError
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import pose, rotation_z
 from yamsim_cli.kitchen_skills import scoop, scoop_strokes
 from yamsim_cli.kitchen_skills.scoop_strokes import is_free_step, pieces_on_spoon, stroke_heading, tool_of
@@ -391,9 +394,10 @@ def test_a_cup_tilts_with_its_lip_where_the_tilt_is_largest(monkeypatch: pytest.
     assert scoop_strokes.plan_release(context, source, tool, "container", 0.0) is None
 
 
-def test_without_a_free_hand_the_message_says_so() -> None:
+def test_without_a_free_hand_the_message_says_so(locations: Locations) -> None:
+    spoon = load_config(ObjectConfig, "objects", "kitchen_spoon", locations)
     context: Any = SimpleNamespace(
-        world=SimpleNamespace(pose=lambda name: np.eye(4)), object_configs={"tool": None}, free_hands=lambda arm: []
+        world=SimpleNamespace(pose=lambda name: np.eye(4)), object_configs={"tool": spoon}, free_hands=lambda arm: []
     )
     skill = scoop.Scoop(tool="tool", source="pile", into="container", grams=50.0, tolerance=15.0)
     pieces: Any = None

@@ -177,12 +177,12 @@ def _solid_piece(asset: str, locations: Locations) -> ObjectConfig:
 
 
 def _thick_enough(piece: ObjectConfig, grams: float, most: int, thinner: bool) -> ObjectConfig:
-    """Return a piece so thick that `most` of them weigh `grams`, if thinner ones would be too many.
+    """Return a piece so thick that `most` of them weigh `grams`, if more of the given ones would be needed.
 
-    With `thinner`, a piece that is thicker than this becomes thinner.
+    With `thinner`, a piece also becomes thinner, if fewer than `most` of the given ones would weigh `grams`.
 
-    Longer pieces would wedge themselves between the walls of a carton, which are 37 mm apart: one of 70 mm can lean by
-    26 degrees at most there.
+    Pieces get thicker and not longer: longer ones would wedge themselves between the walls of a carton, which are 37 mm
+    apart. One of 70 mm can lean by 26 degrees at most there.
     """
     factor = math.sqrt(grams / (most * piece.inertia.mass_g))
     if factor <= 1.0 and not thinner:
@@ -199,11 +199,8 @@ def describe_coarse_pieces(filled: str, filling: Filling, blueprint: SceneBluepr
     thick, count = shape_data(filling.of)["diameter_mm"], piece_count(filling)[0]
     text = f"{filling.of.name}: {filling.grams:.0f} g are {count}"
     if data["wall_mm"]:
-        each, tube = (
-            filling.grams / count,
-            f"tubes {data['diameter_mm']:.1f} mm thick of {nominal.inertia.mass_g:.1f} g",
-        )
-        return f"{text} solid pieces {thick:.1f} mm thick of {each:.1f} g instead of {tube}"
+        tube = f"tubes {data['diameter_mm']:.1f} mm thick of {nominal.inertia.mass_g:.1f} g"
+        return f"{text} solid pieces {thick:.1f} mm thick of {filling.grams / count:.1f} g instead of {tube}"
     if thick <= data["diameter_mm"]:
         return ""
     return f"{text} pieces {thick:.1f} mm thick instead of {data['diameter_mm']:.1f} mm"
