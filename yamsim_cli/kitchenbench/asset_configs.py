@@ -18,7 +18,8 @@ from ..core.files.resources import Locations
 from ..core.geometry.se3 import Array
 from ..core.scene.compiled import CompiledScene
 from ..core.sim.cloth import crumple_cloth
-from .lids import LID_CONFIGS, OPEN, container_with_ears, lid_between_ears, lidded_container
+from .goal_kinds import GoalKind
+from .lids import LID_CONFIGS, container_with_ears, lid_between_ears, lidded_container
 
 # Asset -> object config. Compartments are parts of the tray. `CLOTH_CONFIGS` has cloth, and `pasta.py` pasta.
 _OBJECT_CONFIGS = {
@@ -48,8 +49,6 @@ _SCALED_KEYS = (
     "diameter_mm", "height_mm", "foot_mm", "fillet_mm", "stalk_mm", "mass_g", "neck_mm", "shoulder_mm", "slope_mm",
 )  # fmt: skip
 
-#: The kind of KitchenBench's goals in which cloth is folded.
-FOLD_GOAL_KIND = "fold"
 #: Asset -> object config of its cloth in the asset's nominal size.
 CLOTH_CONFIGS = {"napkin": "soft_napkin", "cloth": "soft_cloth", "dish_towel": "soft_dish_towel"}
 #: The condition of a scene that states how much its cloth is crumpled.
@@ -85,7 +84,7 @@ def container_config_of(item: SceneObject, blueprint: SceneBlueprint, locations:
 
     Raise LookupError if yamsim has none for the asset.
     """
-    if blueprint.target_kind == OPEN:
+    if blueprint.target_kind == GoalKind.OPEN:
         if item.asset not in LID_CONFIGS:
             raise LookupError(
                 f"object {item.name!r}: asset {item.asset!r} has no lid that opens; valid: {', '.join(LID_CONFIGS)}"

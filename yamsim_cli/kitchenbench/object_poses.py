@@ -13,9 +13,9 @@ from ..core.episode.simulator import Simulator
 from ..core.geometry.se3 import Array, invert_pose, pose, rotation_z
 from ..core.scene.start_sampling import footprint_corners, footprint_distance
 from ..core.sim.sim_world import make_sim_world
-from .asset_configs import FOLD_GOAL_KIND
-from .lids import LID, OPEN, SEAL, SNAP_ASSET
-from .pasta import POUR, SCOOP, is_body, is_pile
+from .goal_kinds import GoalKind
+from .lids import LID, SNAP_ASSET
+from .pasta import is_body, is_pile
 
 #: Position of the blueprints' origin in `world`: ahead and to the left of the midpoint between the arms' bases, m.
 #: Scenes extend from there to the right, so this centres most objects before the arms.
@@ -52,17 +52,17 @@ _MAX_OVERLAP_SHIFT = 0.02  # m, accepted displacement to avoid an overlap with a
 
 def origin_in_world(blueprint: SceneBlueprint) -> tuple[float, float]:
     """Return the position of a blueprint's origin in `world`, m."""
-    if blueprint.target_kind == FOLD_GOAL_KIND:
+    if blueprint.target_kind == GoalKind.FOLD:
         return (CLOTH_AHEAD, CLOTH_BESIDE)
-    if blueprint.target_kind == OPEN:
+    if blueprint.target_kind == GoalKind.OPEN:
         snaps = any(item.asset == SNAP_ASSET for item in blueprint.objects)
         return (SNAP_AHEAD, SNAP_BESIDE) if snaps else (SCREW_AHEAD, SCREW_BESIDE)
-    if blueprint.target_kind == POUR:
+    if blueprint.target_kind == GoalKind.POUR:
         return (POUR_AHEAD, POUR_BESIDE)
-    if blueprint.target_kind == SCOOP:
+    if blueprint.target_kind == GoalKind.SCOOP:
         far = any(item.role == "container" and item.x_cm > _FAR_CM for item in blueprint.objects)
         return (FAR_SCOOP_AHEAD if far else SCOOP_AHEAD, SCOOP_BESIDE)
-    return (LID_AHEAD, LID_BESIDE) if blueprint.target_kind == SEAL else (AHEAD, BESIDE)
+    return (LID_AHEAD, LID_BESIDE) if blueprint.target_kind == GoalKind.SEAL else (AHEAD, BESIDE)
 
 
 def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
@@ -94,11 +94,11 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
             if name != rack:
                 _put_beside(places, boxes, name, rack, _RACK_GAP)
     # A lid on its container would count as sealed, and a source must not stand in the vessel.
-    if blueprint.target_kind == SEAL:
+    if blueprint.target_kind == GoalKind.SEAL:
         _put_beside(places, boxes, blueprint.roles[LID][0], blueprint.roles["container"][0])
-    if blueprint.target_kind == POUR:
+    if blueprint.target_kind == GoalKind.POUR:
         _put_beside(places, boxes, blueprint.roles["source"][0], blueprint.roles["vessel"][0])
-    if blueprint.target_kind == SCOOP:
+    if blueprint.target_kind == GoalKind.SCOOP:
         for role, gap in (("tool", _BESIDE_GAP), ("container", _WRIST_GAP)):
             _put_beside(places, boxes, blueprint.roles[role][0], blueprint.roles["substance"][0], gap)
     for tray in blueprint.roles.get("tray", ()):

@@ -19,9 +19,8 @@ from ..core.config.task_objects import Filling
 from ..core.files.resources import Locations
 from ..loose_pieces import piece_count
 from .asset_configs import COMPARTMENT, object_config_of, shape_data, with_shape
+from .goal_kinds import GoalKind
 
-#: The kinds of KitchenBench's goals in which a substance is poured into a vessel, and scooped into a container.
-POUR, SCOOP = "pour_into", "scoop_transfer"
 #: The condition of a scene that gives the length of its pasta.
 STRAND_CONDITION = "strand_length_cm"
 # Asset of a substance -> object config of one piece.
@@ -111,12 +110,12 @@ def pasta_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
         dish = _smooth(with_shape(base, {**shape_data(base), **sizes, "mass_g": _DISH_GRAMS}))
         return _with_far_wall_and_bars(dish, _pile_for(blueprint))
     base = object_config_of(item, blueprint.conditions, locations, nests=False)
-    if blueprint.target_kind == SCOOP and item.asset in _TOOL_SIZES:
+    if blueprint.target_kind == GoalKind.SCOOP and item.asset in _TOOL_SIZES:
         data = {**shape_data(base), **_TOOL_SIZES[item.asset]}
         if item.asset != _CUP_ASSET:
             data["materials"] = {**data["materials"], "handle": _WOOD}
         return _smooth(with_shape(base, data))
-    if item.asset != _CARTON_ASSET or blueprint.target_kind == SCOOP:
+    if item.asset != _CARTON_ASSET or blueprint.target_kind == GoalKind.SCOOP:
         return _smooth(base)
     data = shape_data(base)
     carton = {"family": "container", "size_mm": data["size_mm"], "wall_mm": _CARTON_WALL, "corner_mm": _CARTON_WALL}
@@ -216,7 +215,7 @@ def describe_pile(item: SceneObject, blueprint: SceneBlueprint) -> str:
 
 def describe_tool(item: SceneObject, blueprint: SceneBlueprint, locations: Locations) -> str:
     """Return the sizes in which a tool to scoop with differs from the same object in other scenes, or ""."""
-    if blueprint.target_kind != SCOOP or item.asset not in _TOOL_SIZES:
+    if blueprint.target_kind != GoalKind.SCOOP or item.asset not in _TOOL_SIZES:
         return ""
     usual = shape_data(object_config_of(item, blueprint.conditions, locations, nests=False))
     sizes = _TOOL_SIZES[item.asset].items()
