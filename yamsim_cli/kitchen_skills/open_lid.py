@@ -28,8 +28,8 @@ _FORCE = 50.0  # N, asked of each finger. Source: I2RT's SDK limits grippers to 
 _APPROACH = 0.04  # m, length of the straight approach to a handle
 _CLEARANCE = 0.008  # m, additional opening of each finger before closing and after release
 _MAX_JOINT_STEP = 0.6  # rad, of a joint in one step of a turn; more is another posture
-# rad, between the postures of a turn with the lid, and back: of hands that point straight down, which turn by their
-# last joint, and of others.
+# rad, largest angle between two postures of a turn with the lid, and of a turn back: first for hands that point
+# straight down, which turn by their last joint, then for other hands.
 _FORWARD_STEPS = (math.radians(55), math.radians(30))
 _BACKWARD_STEPS = (math.radians(60), math.radians(45))
 _POINTS_DOWN = 0.99  # cosine of the angle from vertical, above which a hand points straight down

@@ -77,7 +77,7 @@ class Pour(Skill):
         """Do nothing if the source is empty already; see `Skill.run`."""
         thing, vessel = roles.object_of(self.thing), roles.object_of(self.into)
         pieces = LoosePieces(context, thing)
-        if pieces.left_share == 1.0:
+        if pieces.share_outside == 1.0:
             return
         configs = context.object_configs
         try:
@@ -129,24 +129,24 @@ class Pour(Skill):
 
         Raise SkillFailedError if pieces stay in it, or if it falls out of the hand.
         """
-        angle, left, most, tries = 0.0, pieces.left_share, 0.0, 0
+        angle, poured, most, tries = 0.0, pieces.share_outside, 0.0, 0
         largest = float(tilt.angles[-1])
-        while left < 1.0 and tries < _MAX_TRIES:
+        while poured < 1.0 and tries < _MAX_TRIES:
             pieces.weigh()
-            goal = min(angle + (_FAST_STEP if left == 0 else _SLOW_STEP), largest)
-            if tilt.over_narrow_vessel and left > most + _MAX_FLOW:
+            goal = min(angle + (_FAST_STEP if poured == 0 else _SLOW_STEP), largest)
+            if tilt.over_narrow_vessel and poured > most + _MAX_FLOW:
                 # A little back, so that the flow ends.
                 goal = max(angle - _BACK_STEP, 0.0)
-            most = max(most, left)
+            most = max(most, poured)
             if angle < largest or goal < largest:
                 yield context.make_segment({hand: tilt_path(tilt, angle, goal)}, wait_for_arrival=False)
             else:
                 is_swing = tries % _TRIES_PER_SWING == _TRIES_PER_SWING - 1 and not tilt.over_narrow_vessel
                 for path in _swing(tilt) if is_swing else _shake(tilt):
                     yield context.make_segment({hand: path}, wait_for_arrival=False)
-            angle, left = goal, pieces.left_share
+            angle, poured = goal, pieces.share_outside
             # A piece that goes in and out of the mouth counts once.
-            tries = tries + 1 if left <= most and angle == largest else 0
+            tries = tries + 1 if poured <= most and angle == largest else 0
         context.measure_held_object(hand)
         while angle > 0:
             pieces.weigh()

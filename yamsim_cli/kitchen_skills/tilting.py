@@ -1,4 +1,4 @@
-"""Tilts of a held vessel or tool over another vessel, and the way of a vessel there."""
+"""Motions that bring a held vessel or tool over another vessel, and tilt it there."""
 
 from __future__ import annotations
 

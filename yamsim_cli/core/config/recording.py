@@ -173,7 +173,7 @@ class RecordConfig(Config):
                 ("task",),
             )
         if self.grasp == "weld":
-            # `core.expert.skills.program_checks` knows the objects that the task picks up, and checks them.
+            # `program_checks` knows the objects that the task picks up, and checks them.
             check_fingers(self.rig, self.acting_arms, {})
         else:
             _check_pads(self.grasp, self.rig, self.acting_arms)
