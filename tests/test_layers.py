@@ -36,6 +36,7 @@ FLOORS: dict[str, int] = {
     "video_compression": 3,
     "core.config": 3,
     "core.attempt_data": 4,
+    "goal_consistency": 4,
     "loose_pieces": 4,
     "core.dataset": 5,
     "core.scene": 5,

@@ -16,7 +16,7 @@ def resolve_scene_task(name: str) -> str | dict[str, Any]:
         ResourceError: KitchenBench is not installed.
     """
     if name == ABC_TASK:
-        raise UsageError(f"--task {name}: only `yamsim eval` runs it, as its scene is not built from yamsim's configs")
+        raise UsageError(f"task {name}: only `yamsim eval` runs it, as its scene is not built from yamsim's configs")
     if not name.startswith(_PREFIX):
         return name
     try:
@@ -25,6 +25,6 @@ def resolve_scene_task(name: str) -> str | dict[str, Any]:
         if (error.name or "").partition(".")[0] not in ("inspect_robots", "kitchenbench"):
             raise
         raise ResourceError(
-            f"--task {name} needs the package {error.name}, which is missing: pip install 'yamsim[inspect]'"
+            f"task {name} needs the package {error.name}, which is missing: pip install 'yamsim[inspect]'"
         ) from error
     return recorded.scene_task_data(name.removeprefix(_PREFIX))

@@ -17,7 +17,8 @@ import numpy as np
 from .core.config.objects.object_config import ObjectConfig
 from .core.config.objects.primitives import Capsule, Ring, Sphere
 from .core.config.objects.shapes import ContainerShape
-from .core.config.program_task import Filling, ProgramTask
+from .core.config.program_task import ProgramTask
+from .core.config.task_objects import Filling
 from .core.errors import UsageError
 from .core.geometry.se3 import Array, quat_from_rotation, rotation_between
 

@@ -7,31 +7,18 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from .core.config.goals.goal_consistency import find_contradiction
 from .core.config.goals.predicate import Predicate
 from .core.config.goals.predicates import HandedOver, Hung, On, WasHandedOver
 from .core.config.goals.world import TABLE
 from .core.config.objects.object_config import ObjectConfig
 from .core.config.program_task import ProgramTask
 from .core.config.recording import RecordConfig, check_fingers
-from .core.expert.skills.cloth.fold import Fold
-from .core.expert.skills.handover import Handover
-from .core.expert.skills.hang import Hang
-from .core.expert.skills.pick import Pick
-from .core.expert.skills.place import Place
 from .core.expert.skills.program import build_program, parse_steps
-from .core.expert.skills.push import Push
 from .core.expert.skills.skill import Skill
 from .core.files.documents.config_base import Config, ConflictError
-from .core.geometry.cloth_folding import fold_plans
 from .core.geometry.se3 import Array
 from .core.scene.arm_model import kinematic_model
-
-# How a cloth's grid has to be divided for each fold that needs more than a grid; part of an error message.
-_FOLD_GRID_REQUIREMENTS = {
-    "diagonal": "equally many points along both sides",
-    "thirds": "6, 9, 12, ... points along a side",
-}
+from .goal_consistency import find_contradiction
 
 
 def check_task_config(config: Config) -> None:
@@ -63,7 +50,10 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
     roles = task.typical_roles
     arms = len(sides) if sides is not None else 2 if task.arms == "all" else 1
     held: set[str] = set()
+    ended: str | None = None
     for path, skill in parse_steps(task.expert, roles, ("expert",), tuple(task.regions)):
+        if ended is not None:
+            raise ConflictError(ended, path)
         for argument, role in skill.roles():
             task.check_argument(skill, argument, role, (*path, *argument.split(".")))
         thing = roles.object_of(skill.roles()[0][1])
@@ -75,10 +65,6 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
             raise ConflictError(f"no hand is free for the {thing}; put the {others} down first", path)
         if skill.LEAVES_OBJECT_HELD is not None:
             held = held | {thing} if skill.LEAVES_OBJECT_HELD else held - {thing}
-        if fault := skill.task_fault(task):
-            raise ConflictError(fault[1], (*path, fault[0]))
-        if isinstance(skill, Hang):
-            _check_hung(task, Hung(thing=skill.thing, onto=skill.onto), path)
         for argument, role in skill.roles():
             if task.may_be_cloth(role) != skill.HANDLES_CLOTH and argument not in skill.ROLES_OF_ANY_MATERIAL:
                 problem = (
@@ -87,20 +73,22 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
                     else "is cloth; it can only be folded, or have objects placed onto it"
                 )
                 raise ConflictError(f"the {role} {problem}", (*path, argument))
-        if isinstance(skill, Place) and skill.on != TABLE:
-            _check_support(task, skill, path)
-        if isinstance(skill, Fold):
-            _check_fold(task, skill, path)
+        if fault := skill.task_fault(task):
+            argument, reason = fault
+            named = dict(skill.roles()).get(argument)
+            objects = () if named is None else (("things", task.role_of(named), "of"),)
+            raise ConflictError(reason, (*path, argument), *objects)
+        ended = skill.reason_to_be_last(task)
     if (found := find_contradiction(task.goal)) is not None:
         raise ConflictError(found[1], ("goal", *found[0]))
     for path, predicate in task.goal.predicates():
-        if isinstance(predicate, Hung):
-            _check_hung(task, predicate, ("goal", *path))
+        if isinstance(predicate, Hung) and (missing := predicate.missing_handle(task.possible_objects)):
+            raise ConflictError(missing[1], ("goal", *path, missing[0]))
 
 
 def _check_arms(skill: Skill, sides: Sequence[str] | None, arms: int, path: tuple[str | int, ...]) -> None:
     if arms < skill.hand_count:
-        other = ", or fold `diagonal`" if isinstance(skill, Fold) else ""
+        other = f", or {skill.ONE_HAND_ALTERNATIVE}" if skill.ONE_HAND_ALTERNATIVE else ""
         raise ConflictError(
             f"the step `{path[-1]}` needs two arms; use a rig with two arms, without `arms: one`{other}", path
         )
@@ -114,38 +102,13 @@ def _check_arms(skill: Skill, sides: Sequence[str] | None, arms: int, path: tupl
             )
 
 
-def _check_fold(task: ProgramTask, skill: Fold, path: tuple[str | int, ...]) -> None:
-    for item in task.possible_objects(skill.thing):
-        if item.cloth is not None and not fold_plans(skill.how, *reversed(item.cloth.grid)):
-            raise ConflictError(
-                f"the {item.name} cannot be folded {skill.description}: that needs "
-                f"{_FOLD_GRID_REQUIREMENTS[skill.how]}, not {' x '.join(map(str, item.cloth.grid))}",
-                (*path, "how"),
-            )
-
-
-def _check_support(task: ProgramTask, skill: Place, path: tuple[str | int, ...]) -> None:
-    role = task.role_of(skill.on)
-    for k, item in enumerate(task.things[role].of):
-        if item.cloth is None and not item.can_support:
-            raise ConflictError(
-                f"target {item.name!r} has neither a floor nor a flat top to put something on",
-                (*path, "on"),
-                ("things", role, "of", k),
-            )
-
-
-def _check_hung(task: ProgramTask, hung: Hung, path: tuple[str | int, ...]) -> None:
-    for argument, role, handle in (("thing", hung.thing, hung.eye), ("onto", hung.onto, hung.peg)):
-        for item in task.possible_objects(role):
-            if handle not in (names := [known_handle.name for known_handle in item.handles]):
-                known = ", ".join(names) or "(none)"
-                raise ConflictError(f"the {item.name} has no handle {handle!r}; valid: {known}", (*path, argument))
-
-
 def _check_openings(config: RecordConfig, task: ProgramTask) -> None:
     roles = task.typical_roles
-    picked = {skill.thing for skill in build_program(task, roles) if isinstance(skill, Pick)}
+    picked = {
+        skill.roles()[0][1]
+        for skill in build_program(task, roles)
+        if skill.LEAVES_OBJECT_HELD and not skill.REQUIRES_HELD_OBJECT
+    }
     items: dict[tuple[str | int, ...], ObjectConfig] = {
         ("task", "things", role, "of", k): item
         for role, player in task.things.items()
@@ -178,8 +141,10 @@ def _check_places(config: RecordConfig, task: ProgramTask) -> None:
     arms = _arm_positions_and_reaches(config)
     longest = max(length for _, length in arms)
     for path, skill in parse_steps(task.expert, task.typical_roles, ("expert",), tuple(task.regions)):
-        key, place = _named_place(skill)
-        if place is None or any(float(np.linalg.norm(place - base)) <= length for base, length in arms):
+        if (named := skill.point_on_table()) is None:
+            continue
+        key, place = named
+        if any(float(np.linalg.norm(place - base)) <= length for base, length in arms):
             continue
         nearest = min(float(np.linalg.norm(place - base)) for base, _ in arms)
         raise ConflictError(
@@ -187,12 +152,6 @@ def _check_places(config: RecordConfig, task: ProgramTask) -> None:
             f"arms of rig {config.rig.name!r} reach at most {longest:.2f} m; give x and y in `world`, m",
             ("task", *path, key),
         )
-
-
-def _named_place(skill: Skill) -> tuple[str, Array | None]:
-    if isinstance(skill, Place) and skill.on == TABLE and skill.at is not None and skill.start_of is None:
-        return "at", np.array(skill.at) + skill.number * np.array(skill.step)
-    return "to", np.array(skill.to) if isinstance(skill, Push) else None
 
 
 def _arm_positions_and_reaches(config: RecordConfig) -> list[tuple[Array, float]]:
@@ -223,7 +182,7 @@ def program_contradiction(task: ProgramTask) -> str | None:
         moved |= things
         if skill.LEAVES_OBJECT_HELD is not None:
             held = held | {thing} if skill.LEAVES_OBJECT_HELD else held - {thing}
-        if isinstance(skill, Handover):
+        if skill.HANDS_OVER:
             handed_over.add(thing)
 
     def impossible(predicate: Predicate) -> str | None:

@@ -132,7 +132,7 @@ def test_flags_of_other_scenes_are_refused(flags: tuple[str, ...]) -> None:
 def test_other_commands_refuse_the_task() -> None:
     run = yamsim("trials", "--task", "abc/put_bottles", "--n", "1")
     assert run.code == 2
-    assert run.message.startswith("--task abc/put_bottles: only `yamsim eval` runs it")
+    assert run.message.startswith("task abc/put_bottles: only `yamsim eval` runs it")
 
 
 def test_a_short_run_gives_the_report(checkout: Path, tmp_path: Path) -> None:

@@ -30,6 +30,14 @@ def test_a_bad_task_is_told_before_anything_runs(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+def test_errors_name_the_argument_and_no_flag_that_the_command_does_not_have() -> None:
+    run = yamsim("tasks", "check", "towr")
+    assert (run.code, run.message[:49]) == (3, "NAME: task: unknown task 'towr'; did you mean 'to")
+    for command in ("show", "check"):
+        run = yamsim("tasks", command, "abc/put_bottles")
+        assert (run.code, run.message[:48]) == (2, "task abc/put_bottles: only `yamsim eval` runs it")
+
+
 @pytest.mark.slow
 def test_picking_and_placing_passes_its_check() -> None:
     run = yamsim("tasks", "check", "pickplace", "--n", "3", "--json")

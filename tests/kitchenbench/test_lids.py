@@ -16,11 +16,13 @@ from kitchenbench.sim import build_blueprint
 from tools.bench.lids import opening_efforts
 from yamsim_cli.core.expert.skills.pick import Pick, ReachableGrasp
 from yamsim_cli.core.expert.skills.place import Place
+from yamsim_cli.core.files.documents.config_base import ConflictError
 from yamsim_cli.core.geometry.se3 import tilt_angle
 from yamsim_cli.kitchenbench.benchmark_scene import BenchmarkScene, build_benchmark_scene, open_station_session
 from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
 from yamsim_cli.kitchenbench.success_judges import KitchenJudge
+from yamsim_cli.program_checks import check_program
 
 
 def _build(task: str, instance: str, number: int = 0) -> tuple[BenchmarkScene, int]:
@@ -115,6 +117,20 @@ def test_the_expert_opens_a_lid_with_one_hand_while_the_other_steadies_the_conta
         )
     finally:
         planning.close()
+
+
+@pytest.mark.parametrize(("instance", "name"), [("bottle-cap", "bottle"), ("snap-lid", "container")])
+def test_no_step_follows_a_pull_as_both_hands_are_in_use(instance: str, name: str) -> None:
+    built, _ = _build("open_container", instance)
+    built.simulator.close()
+    steps = ({"open_lid": {"thing": name}}, {"pick": {"thing": name}})
+    task = built.simulator.config.task.model_copy(update={"expert": steps})
+    if instance == "bottle-cap":
+        check_program(task)
+        return
+    with pytest.raises(ConflictError, match=r"^no hand is free after `open_lid`: .* make `open_lid` the last step"):
+        check_program(task)
+    check_program(task.model_copy(update={"expert": steps[:1]}))
 
 
 def test_two_hands_pull_a_lid_off_stiff_clips_and_the_container_does_not_tip() -> None:

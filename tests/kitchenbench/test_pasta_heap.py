@@ -16,7 +16,8 @@ from tools.bench import pasta_heap as bench
 from tools.bench.heap_shape import heap_profile, pieces_below, slope_of
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.objects.object_config import ObjectConfig
-from yamsim_cli.core.config.program_task import Filling, ProgramTask, Role
+from yamsim_cli.core.config.program_task import ProgramTask
+from yamsim_cli.core.config.task_objects import Filling, Role
 
 
 def filled(vessel: str, base: Any, pieces: int) -> ProgramTask:

@@ -16,7 +16,7 @@ from kitchenbench import tasks
 
 from tests.kitchenbench.realizations import blueprint_of, seed_of
 from yamsim_cli.core.config.objects.primitives import Capsule
-from yamsim_cli.core.config.program_task import Role
+from yamsim_cli.core.config.task_objects import Role
 from yamsim_cli.kitchen_skills.pour import Pour
 from yamsim_cli.kitchen_skills.tilting import lip_height
 from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene

@@ -19,7 +19,9 @@ from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint, make_success_checker
 
 from tests.attempts import all_actions
+from tests.kitchenbench.realizations import blueprint_of
 from yamsim_cli.core.attempt_data import AttemptJob
+from yamsim_cli.core.config.goals.goal import Goal
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.reader import read_recording_config
 from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
@@ -29,12 +31,17 @@ from yamsim_cli.core.episode.sampling import sample_attempt
 from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.sim.sim_world import SimWorld, make_sim_world
 from yamsim_cli.core.workers.stop_request import StopRequest
 from yamsim_cli.datasets.verify import EpisodeVerifier, Tolerances
 from yamsim_cli.kitchen_scenes import resolve_scene_task
+from yamsim_cli.kitchenbench.benchmark_scene import build_benchmark_scene
 from yamsim_cli.kitchenbench.lids import LID
 from yamsim_cli.kitchenbench.object_poses import AHEAD, BESIDE
+from yamsim_cli.kitchenbench.scene_goals import goal_data
+from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
+from yamsim_cli.kitchenbench.success_judges import KitchenJudge
 from yamsim_cli.recording.collect import RecordCallbacks
 from yamsim_cli.recording.executor_factories import inline_executor
 from yamsim_cli.recording.recorder import record
@@ -223,6 +230,42 @@ def test_other_goals_hold_only_when_the_benchmarks_checker_says_so(name: str, lo
             assert checker(Queries(world, filled)).success or not ours  # type: ignore[arg-type]
             found.append(ours)
         assert not found[0] and found[-1]
+
+
+@pytest.mark.parametrize(
+    ("name", "verdict"),
+    [("from-drawer", "cutlery is not resting on plate"), ("cluttered-bench", "fork rests on dishware")],
+)
+def test_cutlery_at_rest_on_a_dish_reaches_the_goal(name: str, verdict: str, base: Session) -> None:
+    """The checker agrees on a bowl, across which a fork rests on the rim. On a plate, it measures from the rim too."""
+    scenes = {scene.id: scene for scene in tasks.TASK_FACTORIES["place_cutlery"]().scenes}
+    realized = build_benchmark_scene(blueprint_of(scenes[f"place-cutlery-{name}"]), base)
+    try:
+        blueprint, scene = realized.blueprint, realized.simulator.scene
+        item, dish = blueprint.roles["item"][0], blueprint.roles["surface"][0]
+        goal = Goal.model_validate(goal_data(blueprint))
+        motion = SceneStepper(realized, 10)
+        judge, world = KitchenJudge(realized, motion), motion.episode.world
+        start, middle, rim = motion.data.qpos.copy(), world.pose(dish)[:2, 3], world.aabb(dish)[1][2]
+
+        def is_goal_reached(x: float, y: float, height: float, seconds: float) -> bool:
+            """Put the item at an offset from the dish's middle, over its rim, let it fall, and evaluate the goal."""
+            qpos = start.copy()
+            scene.set_object_pose(qpos, item, pose((middle[0] + x, middle[1] + y, rim + height)))
+            scene.reset(motion.data, qpos)
+            scene.step(motion.data, round(seconds / scene.model.opt.timestep))
+            mujoco.mj_forward(scene.model, motion.data)
+            return all(measure.holds for measure in goal.measures(world, realized.simulator.roles))
+
+        assert is_goal_reached(0.0, 0.0, 0.005, 3.0)
+        assert judge.evaluate()[1].startswith(verdict)
+        assert not is_goal_reached(0.0, 0.25, 0.005, 3.0)
+        assert judge.evaluate() == (False, f"{item} is not over {dish}")
+        # While it falls, only the checker is satisfied.
+        assert not is_goal_reached(0.0, 0.0, 0.015, 0.0)
+        assert judge.evaluate()[0]
+    finally:
+        realized.simulator.close()
 
 
 @pytest.mark.slow

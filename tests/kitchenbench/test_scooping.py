@@ -17,8 +17,11 @@ pytest.importorskip("kitchenbench", reason="needs yamsim[inspect]")
 from kitchenbench import tasks
 
 from tests.kitchenbench.realizations import blueprint_of, seed_of
-from yamsim_cli.core.config.program_task import Role
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.objects.object_config import ObjectConfig
+from yamsim_cli.core.config.task_objects import Role
 from yamsim_cli.core.expert.skills.planning_context import SkillFailedError
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import pose, rotation_z
 from yamsim_cli.kitchen_skills import scoop, scoop_strokes
 from yamsim_cli.kitchen_skills.scoop_strokes import is_free_step, pieces_on_spoon, stroke_heading, tool_of
@@ -71,6 +74,8 @@ def test_tool_and_container_stand_beside_the_dish(epoch: int, base: Any) -> None
             (44, "110 x 250 x 34") if is_cup else (36, "156 x 230 x 36"),
         )
         assert f"{pieces} solid pieces" in text and f"in a dish of {size} mm" in text
+        cup, spoon = "diameter_mm=84 instead of 78, foot_mm=58 instead of 62", "grip_mm=20 instead of 12"
+        assert f"tool: {cup if is_cup else spoon}" in text
     finally:
         realized.simulator.close()
 
@@ -389,9 +394,10 @@ def test_a_cup_tilts_with_its_lip_where_the_tilt_is_largest(monkeypatch: pytest.
     assert scoop_strokes.plan_release(context, source, tool, "container", 0.0) is None
 
 
-def test_without_a_free_hand_the_message_says_so() -> None:
+def test_without_a_free_hand_the_message_says_so(locations: Locations) -> None:
+    spoon = load_config(ObjectConfig, "objects", "kitchen_spoon", locations)
     context: Any = SimpleNamespace(
-        world=SimpleNamespace(pose=lambda name: np.eye(4)), object_configs={"tool": None}, free_hands=lambda arm: []
+        world=SimpleNamespace(pose=lambda name: np.eye(4)), object_configs={"tool": spoon}, free_hands=lambda arm: []
     )
     skill = scoop.Scoop(tool="tool", source="pile", into="container", grams=50.0, tolerance=15.0)
     pieces: Any = None

@@ -23,7 +23,8 @@ from tools.bench import heap_shape
 from tools.bench.kitchen_expert import scenes_of
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.objects.object_config import ObjectConfig
-from yamsim_cli.core.config.program_task import Filling, ProgramTask, Role
+from yamsim_cli.core.config.program_task import ProgramTask
+from yamsim_cli.core.config.task_objects import Filling, Role
 from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_between
 from yamsim_cli.core.scene.compose import set_friction_cones
 from yamsim_cli.core.scene.objects.scene_object import add_object

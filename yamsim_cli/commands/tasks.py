@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -98,9 +99,12 @@ def check(
     """
     if overwrite and video is None:
         raise UsageError("--overwrite needs --video; give --video too, or leave --overwrite out")
-    session = session_opener.open(
-        config, renders=video is not None, task=name, n=n, seed=seed, workers=workers, rig=rig
+    # This command's task is an argument, so errors cannot name the flag `--task`.
+    opener = replace(
+        session_opener,
+        setting_label=lambda setting: "NAME" if setting == "task" else session_opener.setting_label(setting),
     )
+    session = opener.open(config, renders=video is not None, task=name, n=n, seed=seed, workers=workers, rig=rig)
 
     from yamsim_cli.task_validation.validation import require_passed, validate_task
 

@@ -6,13 +6,12 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from pydantic import Field, FiniteFloat, model_validator
 
 from ..core.attempt_data import FailureCause
-from ..core.config.goals.cloth_predicates import FoldedSmall
+from ..core.config.goals.cloth_predicates import FoldedSize
 from ..core.config.goals.role_assignment import RoleAssignment
 from ..core.expert.skills.cloth.cloth_motions import carry_points
 from ..core.expert.skills.cloth.flatten import flatten_cloth
@@ -20,7 +19,6 @@ from ..core.expert.skills.cloth.point_grasps import PointGrasp, PointPlacement, 
 from ..core.expert.skills.common_motions import open_and_park_hands, unparked_hands
 from ..core.expert.skills.planning_context import MotionSegment, PlanningContext, SkillFailedError
 from ..core.expert.skills.skill import Skill
-from ..core.files.documents.units import QuantityBounds, Share
 from ..core.geometry.cloth_flattening import Point
 from ..core.geometry.se3 import Array
 from ..core.sim.sim_world import SimWorld
@@ -58,7 +56,7 @@ _CORNER_TOLERANCE = (
 )
 
 
-class FoldSmall(Skill):
+class FoldSmall(FoldedSize, Skill):
     """Fold a cloth repeatedly, until its bounding box is small enough.
 
     Attributes:
@@ -73,17 +71,8 @@ class FoldSmall(Skill):
     HANDS: ClassVar[int] = 2
     HANDLES_CLOTH: ClassVar[bool] = True
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
-    thing: str
-    area: Annotated[FiniteFloat, QuantityBounds("m2", 1e-4, 4)] | None = None
-    share: Annotated[Share, Field(gt=0)] | None = None
     thirds: bool = False
     crumpled: bool = False
-
-    @model_validator(mode="after")
-    def _exactly_one_given(self) -> FoldSmall:
-        if (self.area is None) == (self.share is None):
-            raise ValueError("give either `area` or `share`")
-        return self
 
     def largest_area(self, world: SimWorld, thing: str) -> float:
         """Return the largest area of the box around the cloth's points, m2, at which the skill ends.
@@ -91,7 +80,7 @@ class FoldSmall(Skill):
         The goal's box is larger by half the cloth's thickness on each side. The skill also aims at 2 % less than the
         goal's area.
         """
-        required = FoldedSmall(thing=self.thing, area=self.area, share=self.share).largest_area(world, thing)
+        required = self.largest_box_area(world, thing)
         side = math.sqrt(required) - world.cloth_addresses(thing).thickness
         return float(side**2) * _LIMIT_MARGIN
 

@@ -69,7 +69,7 @@ class LoosePieces:
         return self._world.grams_inside(self._filled, container)
 
     @property
-    def left_share(self) -> float:
+    def share_outside(self) -> float:
         """Share of the pieces that are not in the holder."""
         return 1.0 - float(self._are_inside().mean())
 

@@ -23,12 +23,13 @@ from ..core.expert.skills.planning_context import FingerTarget, MotionSegment, P
 from ..core.expert.skills.skill import Skill
 from ..core.geometry.se3 import Array, pose, rotation_from_vector, rotation_vector, rotation_z
 
+_PULLED_OFF = "slide"  # type of the joint of a lid that is pulled off
 _FORCE = 50.0  # N, asked of each finger. Source: I2RT's SDK limits grippers to 50 N per finger
 _APPROACH = 0.04  # m, length of the straight approach to a handle
 _CLEARANCE = 0.008  # m, additional opening of each finger before closing and after release
 _MAX_JOINT_STEP = 0.6  # rad, of a joint in one step of a turn; more is another posture
-# rad, between the postures of a turn with the lid, and back: of hands that point straight down, which turn by their
-# last joint, and of others.
+# rad, largest angle between two postures of a turn with the lid, and of a turn back: first for hands that point
+# straight down, which turn by their last joint, then for other hands.
 _FORWARD_STEPS = (math.radians(55), math.radians(30))
 _BACKWARD_STEPS = (math.radians(60), math.radians(45))
 _POINTS_DOWN = 0.99  # cosine of the angle from vertical, above which a hand points straight down
@@ -83,6 +84,16 @@ class OpenLid(Skill):
                 return "thing", f"the {item.name} has no handle at which a hand could steady it; add one to `handles`"
         return missing_part(task, self.thing, self.joint)
 
+    def reason_to_be_last(self, task: ProgramTask) -> str | None:
+        """Return that no hand is free after a pull, if the task has a lid that is pulled off."""
+        for item in task.possible_objects(self.thing):
+            if any(link.name == self.joint and link.joint.type == _PULLED_OFF for link in item.links):
+                return (
+                    f"no hand is free after `open_lid`: the hands hold the {item.name} and its lid, which would fall "
+                    "back if let go; make `open_lid` the last step"
+                )
+        return None
+
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
@@ -103,7 +114,7 @@ class OpenLid(Skill):
         else:
             yield from self._pull(context, thing, grip, steady)
         opened = context.world.joint_opening(thing, self.joint)
-        if opened >= self.to and link.joint.type == "slide":
+        if opened >= self.to and link.joint.type == _PULLED_OFF:
             # A lid that is let go would fall back onto its container.
             yield context.wait_segment(round(_HOLD_SECONDS / context.tick))
             return
@@ -124,41 +135,48 @@ class OpenLid(Skill):
         A lid that is pulled near the hand that steadies tips the container least. Among such grasps, the first handles
         of the container are preferred.
         """
-        T_lid, T_base = context.world.part_pose(thing, self.joint), context.world.pose(thing)
         handles = context.object_configs[thing].handles
         pairs: list[tuple[int, int, _Reach, _Reach]] = []
-        fault = "no two arms reach it and its lid without contact"
-        for opener, steadier in itertools.permutations(context.free_hands("any"), 2):
-            grips = list(_reaches(context, opener, thing, link.handles, T_lid))
-            if not grips:
-                fault = f"the {opener.side} arm does not reach its lid"
-            for steady, grip in itertools.product(_reaches(context, steadier, thing, handles, T_base), grips):
-                lever = float(np.linalg.norm((grip.T_pinch - steady.T_pinch)[:2, 3]))
-                pairs.append((round(lever / _SIMILAR_LEVER), handles.index(steady.handle), steady, grip))
+        reached, fault = self._reached_handles(context, thing, link)
+        for steady, grip in itertools.chain.from_iterable(itertools.product(*reaches) for reaches in reached):
+            lever = float(np.linalg.norm((grip.T_pinch - steady.T_pinch)[:2, 3]))
+            pairs.append((round(lever / _SIMILAR_LEVER), handles.index(steady.handle), steady, grip))
         for _, _, steady, grip in sorted(pairs, key=lambda pair: pair[:2]):
             if _can_approach(context, steady, thing, grip):
                 return steady, grip
-        raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to open the {thing}: {fault}")
+        raise SkillFailedError(FailureCause.UNREACHABLE, fault)
 
     def _find_turn(self, context: PlanningContext, thing: str, link: Link) -> tuple[_Reach, _Reach, float]:
         """Return grasps of the container and of its lid that leave both hands room, and the angle of a turn, rad."""
-        T_lid, T_base = context.world.part_pose(thing, self.joint), context.world.pose(thing)
         best: tuple[float, _Reach, _Reach] | None = None
+        reached, fault = self._reached_handles(context, thing, link)
+        for steadies, grips in reached:
+            for steady, postures in itertools.product(steadies, _possible_turns(grips)):
+                found = _longest_turn(context, steady, thing, postures)
+                if found is not None and (best is None or found[0] > best[0] + _SIMILAR_TURN):
+                    best = (found[0], steady, found[1])
+        if best is None:
+            raise SkillFailedError(FailureCause.UNREACHABLE, fault)
+        return best[1], best[2], best[0]
+
+    def _reached_handles(
+        self, context: PlanningContext, thing: str, link: Link
+    ) -> tuple[list[tuple[list[_Reach], list[_Reach]]], str]:
+        """Return the grasps of the container by one hand and of its lid by the other, for each two hands.
+
+        The text says why the lid cannot be opened if no two of these grasps leave both hands room.
+        """
+        T_lid, T_base = context.world.part_pose(thing, self.joint), context.world.pose(thing)
+        found: list[tuple[list[_Reach], list[_Reach]]] = []
         fault = "no two arms reach it and its lid without contact"
         for opener, steadier in itertools.permutations(context.free_hands("any"), 2):
             grips = list(_reaches(context, opener, thing, link.handles, T_lid))
-            if not grips:
+            if grips:
+                handles = context.object_configs[thing].handles
+                found.append((list(_reaches(context, steadier, thing, handles, T_base)), grips))
+            else:
                 fault = f"the {opener.side} arm does not reach its lid"
-                continue
-            turns = list(_possible_turns(grips))
-            for steady in _reaches(context, steadier, thing, context.object_configs[thing].handles, T_base):
-                for postures in turns:
-                    found = _longest_turn(context, steady, thing, postures)
-                    if found is not None and (best is None or found[0] > best[0] + _SIMILAR_TURN):
-                        best = (found[0], steady, found[1])
-        if best is None:
-            raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to open the {thing}: {fault}")
-        return best[1], best[2], best[0]
+        return found, f"no way to open the {thing}: {fault}"
 
     def _unscrew(
         self, context: PlanningContext, thing: str, link: Link, grip: _Reach, steady: _Reach, turn: float

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import ClassVar
 
@@ -15,11 +15,7 @@ from ..core.config.program_task import ProgramTask
 from ..core.expert.planning.collision_checker import AttachedObject
 from ..core.expert.skills.hand import Hand
 from ..core.expert.skills.pick import Pick, ReachableGrasp, summarize_reasons
-from ..core.expert.skills.planning_context import (
-    MotionSegment,
-    PlanningContext,
-    SkillFailedError,
-)
+from ..core.expert.skills.planning_context import MotionSegment, PlanningContext, SkillFailedError
 from ..core.expert.skills.skill import Skill, find_holding_hand
 from ..core.geometry.se3 import Array, invert_pose
 from .held_pieces import LoosePieces, fault_of_pieces, fault_of_shape
@@ -30,7 +26,7 @@ from .tilting import (
     carry_upright,
     grasps_from_side,
     longest_tilt,
-    nearest_free_hands,
+    reachable_grasps,
     tilt_path,
 )
 
@@ -44,8 +40,8 @@ _FAST_STEP, _SLOW_STEP = math.radians(12), math.radians(4)  # rad, of a step bef
 # Share of the pieces that may leave in a step over a narrow vessel. If more leave, the source tilts back.
 _MAX_FLOW = 0.05
 _BACK_STEP = math.radians(1)  # rad, by which it tilts back in a step
-# Every third try that moves no piece is a swing instead of a shake; rad, of each of its two steps back.
-_TRIES_PER_SWING, _SWING_STEP = 3, math.radians(30)
+_TRIES_PER_SWING = 3  # tries that move no piece, the last of which is a swing; the others are shakes
+_SWING_STEP = math.radians(30)  # rad, of each of the two steps back of a swing
 _MAX_TRIES = 20  # shakes and swings in a row that move no piece out, after which the expert gives up
 
 
@@ -81,7 +77,7 @@ class Pour(Skill):
         """Do nothing if the source is empty already; see `Skill.run`."""
         thing, vessel = roles.object_of(self.thing), roles.object_of(self.into)
         pieces = LoosePieces(context, thing)
-        if pieces.left_share == 1.0:
+        if pieces.share_outside == 1.0:
             return
         configs = context.object_configs
         try:
@@ -109,20 +105,14 @@ class Pour(Skill):
     ) -> tuple[Hand, ReachableGrasp]:
         """Return the hand and the grasp with which the source tilts furthest."""
         best: tuple[float, Hand, ReachableGrasp] | None = None
-        picker, reasons = Pick(thing=self.thing, lift=_LIFT), dict[str, int]()
-        hands = nearest_free_hands(context, thing)
-        for hand, candidate in itertools.product(hands, list(grasps_from_side(context.object_configs[thing]))):
-            found = picker.find_reachable_grasp(context, hand, thing, candidate)
-            if not isinstance(found, ReachableGrasp):
-                if found is not None:
-                    reasons[found] = reasons.get(found, 0) + 1
-                continue
-            load = AttachedObject(thing, invert_pose(candidate.T_pinch_in_thing))
-            source = HeldSource(hand, load, found.grasp_joints, candidate.opening, piece_length)
+        picker, reasons = Pick(thing=self.thing, lift=_LIFT), Counter[str]()
+        candidates = list(grasps_from_side(context.object_configs[thing]))
+        for hand, found in reachable_grasps(context, picker, thing, candidates, reasons):
+            load = AttachedObject(thing, invert_pose(found.candidate.T_pinch_in_thing))
+            source = HeldSource(hand, load, found.grasp_joints, found.candidate.opening, piece_length)
             tilt = longest_tilt(context, source, vessel)
             if tilt is None:
-                why = f"the {hand.side} arm cannot tilt it over the {vessel} with this grasp"
-                reasons[why] = reasons.get(why, 0) + 1
+                reasons[f"the {hand.side} arm cannot tilt it over the {vessel} with this grasp"] += 1
             elif best is None or tilt.score > best[0]:
                 best = (tilt.score, hand, found)
                 if best[0] >= _ENOUGH_TILT:
@@ -139,24 +129,24 @@ class Pour(Skill):
 
         Raise SkillFailedError if pieces stay in it, or if it falls out of the hand.
         """
-        angle, left, most, tries = 0.0, pieces.left_share, 0.0, 0
+        angle, poured, most, tries = 0.0, pieces.share_outside, 0.0, 0
         largest = float(tilt.angles[-1])
-        while left < 1.0 and tries < _MAX_TRIES:
+        while poured < 1.0 and tries < _MAX_TRIES:
             pieces.weigh()
-            goal = min(angle + (_FAST_STEP if left == 0 else _SLOW_STEP), largest)
-            if tilt.over_narrow_vessel and left > most + _MAX_FLOW:
+            goal = min(angle + (_FAST_STEP if poured == 0 else _SLOW_STEP), largest)
+            if tilt.over_narrow_vessel and poured > most + _MAX_FLOW:
                 # A little back, so that the flow ends.
                 goal = max(angle - _BACK_STEP, 0.0)
-            most = max(most, left)
+            most = max(most, poured)
             if angle < largest or goal < largest:
                 yield context.make_segment({hand: tilt_path(tilt, angle, goal)}, wait_for_arrival=False)
             else:
                 is_swing = tries % _TRIES_PER_SWING == _TRIES_PER_SWING - 1 and not tilt.over_narrow_vessel
                 for path in _swing(tilt) if is_swing else _shake(tilt):
                     yield context.make_segment({hand: path}, wait_for_arrival=False)
-            angle, left = goal, pieces.left_share
+            angle, poured = goal, pieces.share_outside
             # A piece that goes in and out of the mouth counts once.
-            tries = tries + 1 if left <= most and angle == largest else 0
+            tries = tries + 1 if poured <= most and angle == largest else 0
         context.measure_held_object(hand)
         while angle > 0:
             pieces.weigh()
@@ -171,7 +161,7 @@ class Pour(Skill):
 
 
 def _raise_touching_hands(context: PlanningContext) -> Iterator[MotionSegment]:
-    """Raise hands that touch something at the start, such as a tall source, until they are free, and wait."""
+    """Yield the motions that raise hands which touch something at the start, such as a tall source."""
     for hand in context.free_hands("any"):
         T = hand.pinch_pose(hand.joints)
         for _ in range(_MAX_RISES):

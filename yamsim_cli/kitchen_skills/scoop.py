@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
@@ -35,7 +36,7 @@ from .scoop_strokes import (
     tool_grasps,
     tool_of,
 )
-from .tilting import TICKS, HeldSource, Tilt, nearest_free_hands, straight_tilt
+from .tilting import TICKS, HeldSource, Tilt, reachable_grasps, straight_tilt
 
 _LIFT = 0.05  # m, straight up after grasping the tool: over the side walls of the dish, of up to 36 mm
 _LAYING_CLEARANCE = 0.01  # m, by which each finger opens to lay the tool down; no other value is recorded
@@ -147,23 +148,16 @@ class Scoop(Skill):
 
     def _find_grasp(self, context: PlanningContext, job: _Job) -> tuple[Hand, ReachableGrasp]:
         """Return the hand and the first grasp with which a stroke and a tilt over the container are possible."""
-        picker, reasons = Pick(thing=self.tool, lift=_LIFT), dict[str, int]()
+        picker, reasons = Pick(thing=self.tool, lift=_LIFT), Counter[str]()
         config = context.object_configs[job.tool_name]
-        for hand in nearest_free_hands(context, job.tool_name):
-            for candidate in tool_grasps(config):
-                found = picker.find_reachable_grasp(context, hand, job.tool_name, candidate)
-                if not isinstance(found, ReachableGrasp):
-                    if found is not None:
-                        reasons[found] = reasons.get(found, 0) + 1
-                    continue
-                tool = tool_of(config, candidate.T_pinch_in_thing)
-                assert tool is not None
-                job.use(hand, tool)
-                T = invert_pose(candidate.T_pinch_in_thing)
-                why = job.find_infeasibility(T, found.grasp_joints, candidate.opening)
-                if why is None:
-                    return hand, found
-                reasons[why] = reasons.get(why, 0) + 1
+        candidates = list(tool_grasps(config))
+        for hand, found in reachable_grasps(context, picker, job.tool_name, candidates, reasons):
+            job.use(hand, tool_of(config, found.candidate.T_pinch_in_thing))
+            T = invert_pose(found.candidate.T_pinch_in_thing)
+            why = job.find_infeasibility(T, found.grasp_joints, found.candidate.opening)
+            if why is None:
+                return hand, found
+            reasons[why] += 1
         why = summarize_reasons(reasons) or "no hand is free"
         raise SkillFailedError(FailureCause.UNREACHABLE, f"no grasp to scoop with the {job.tool_name}: {why}")
 

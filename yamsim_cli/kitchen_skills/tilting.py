@@ -1,9 +1,10 @@
-"""Tilts of a held vessel or tool over another vessel, and the way of a vessel there."""
+"""Motions that bring a held vessel or tool over another vessel, and tilt it there."""
 
 from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ from ..core.expert.planning.collision_checker import AttachedObject
 from ..core.expert.planning.trajectory import is_collision_free
 from ..core.expert.skills.grasp_candidates import GraspCandidate
 from ..core.expert.skills.hand import Hand
+from ..core.expert.skills.pick import Pick, ReachableGrasp
 from ..core.expert.skills.planning_context import MotionSegment, PlanningContext, SkillFailedError, plan_free_path
 from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_z
 
@@ -99,12 +101,23 @@ class HeldSource:
     piece_length: float
 
 
-def nearest_free_hands(context: PlanningContext, thing: str) -> list[Hand]:
-    """Return the hands that hold nothing, in the order of their arms' distances from an object."""
+def reachable_grasps(
+    context: PlanningContext, picker: Pick, thing: str, candidates: Sequence[GraspCandidate], reasons: Counter[str]
+) -> Iterator[tuple[Hand, ReachableGrasp]]:
+    """Yield the grasps of an object that free hands reach, those of the nearest arm first.
+
+    The reasons why hands do not reach the other grasps are counted in `reasons`.
+    """
     middle = context.world.pose(thing)[:2, 3]
-    return sorted(
+    hands = sorted(
         context.free_hands("any"), key=lambda hand: float(np.linalg.norm(middle - hand.arm.T_base_in_world[:2, 3]))
     )
+    for hand, candidate in itertools.product(hands, candidates):
+        found = picker.find_reachable_grasp(context, hand, thing, candidate)
+        if isinstance(found, ReachableGrasp):
+            yield hand, found
+        elif found is not None:
+            reasons[found] += 1
 
 
 def grasps_from_side(
@@ -164,21 +177,11 @@ def _tilt_directions(source: ObjectConfig) -> Iterator[tuple[Array, float, float
         yield np.array([math.cos(turn), math.sin(turn), 0.0]), shape.diameter_mm / 2000, 0.0
 
 
-def longest_tilt(
-    context: PlanningContext, source: HeldSource, vessel: str, enough: float = math.inf
-) -> PouringTilt | None:
-    """Return the motion that tilts a source, held upright, furthest over a vessel; None if none reaches `_MIN_TILT`.
-
-    The first motion that reaches the angle `enough`, rad, is returned.
-    """
-    best: PouringTilt | None = None
-    for direction, lip, turn in _tilt_directions(context.object_configs[source.load.thing]):
-        found = _tilt_towards(context, source, vessel, direction, lip, turn)
-        if found is not None and (best is None or found.score > best.score):
-            best = found
-            if found.angles[-1] >= enough:
-                break
-    return best
+def longest_tilt(context: PlanningContext, source: HeldSource, vessel: str) -> PouringTilt | None:
+    """Return the best motion that tilts a source, held upright, over a vessel; None if none reaches `_MIN_TILT`."""
+    ways = _tilt_directions(context.object_configs[source.load.thing])
+    tilts = (_tilt_towards(context, source, vessel, *way) for way in ways)
+    return max(filter(None, tilts), key=lambda tilt: tilt.score, default=None)
 
 
 def _tilt_towards(

@@ -18,7 +18,8 @@ from ..core.files.resources import Locations
 from ..core.geometry.se3 import Array
 from ..core.scene.compiled import CompiledScene
 from ..core.sim.cloth import crumple_cloth
-from .lids import LID_CONFIGS, OPEN, container_with_ears, lid_between_ears, lidded_container
+from .goal_kinds import GoalKind
+from .lids import LID_CONFIGS, container_with_ears, lid_between_ears, lidded_container
 
 # Asset -> object config. Compartments are parts of the tray. `CLOTH_CONFIGS` has cloth, and `pasta.py` pasta.
 _OBJECT_CONFIGS = {
@@ -31,7 +32,7 @@ _OBJECT_CONFIGS = {
 # Container -> config of its lid. A pot's lid is round, and derived from the lid of the food container.
 _LIDS = {**LID_CONFIGS, "pot": "kitchen_lid"}
 _LID_ASSET = "lid"
-_POT_RIM = 4.0  # mm, from a pot's inner wall to the rim under its lid
+_POT_RIM = 4.0  # mm, gap between a pot's inner wall and the rim under its lid, which reaches into the pot
 
 #: The asset whose objects are parts of the tray.
 COMPARTMENT = "compartment"
@@ -43,32 +44,19 @@ _RIM_GRASP_DEPTH = 0.012  # m below a cup's rim, of the grasp for nesting the cu
 # m below the top of a screw lid on the table, of its grasp: at half its height, the pads would be 0.8 mm over the table
 _SCREW_LID_GRASP_DEPTH = 0.001
 _RACK_LENGTH_WITHOUT_SLOTS = 40.0  # mm of a rack's length without slots
+# Keys of shapes, apart from `size_mm`, that grow with an object's size; walls keep their thickness.
 _SCALED_KEYS = (
-    "diameter_mm",
-    "height_mm",
-    "foot_mm",
-    "fillet_mm",
-    "stalk_mm",
-    "mass_g",
-    "neck_mm",
-    "shoulder_mm",
-    "slope_mm",
-)  # all sizes except the walls
+    "diameter_mm", "height_mm", "foot_mm", "fillet_mm", "stalk_mm", "mass_g", "neck_mm", "shoulder_mm", "slope_mm",
+)  # fmt: skip
 
-#: The kind of KitchenBench's goals in which cloth is folded.
-FOLD_GOAL_KIND = "fold"
-#: Asset -> sheet config of the asset's nominal size.
+#: Asset -> object config of its cloth in the asset's nominal size.
 CLOTH_CONFIGS = {"napkin": "soft_napkin", "cloth": "soft_cloth", "dish_towel": "soft_dish_towel"}
 #: The condition of a scene that states how much its cloth is crumpled.
 CRUMPLE_CONDITION = "crumple_level"
-_CRUMPLE_SHARES = {
-    "light": 0.2,
-    "moderate": 0.4,
-}  # level -> height and distance of the pull, as shares of half the length
-
-_CRUMPLED_GRID_REFINEMENT = (
-    2  # cells of crumpled cloth per cell of flat cloth, along a side: larger cells stand up in tents
-)
+# Level of `CRUMPLE_CONDITION` -> height and distance of the pull that crumples a cloth, as shares of half its length.
+_CRUMPLE_SHARES = {"light": 0.2, "moderate": 0.4}
+# Cells of a crumpled cloth per cell of a flat one, along a side: larger cells stand up like tents.
+_CRUMPLED_GRID_REFINEMENT = 2
 # Points along the side of a towel that is folded in thirds: three cells, four and four. A sheet bends only along lines
 # of points, and the inner third has to be the shorter one.
 _FOLD_IN_THIRDS_POINTS = 12
@@ -86,16 +74,9 @@ def object_config_of(
         raise LookupError(
             f"object {item.name!r}: asset {item.asset!r} is not supported; valid: {', '.join(_OBJECT_CONFIGS)}"
         )
-    base = load_config(ObjectConfig, "objects", _OBJECT_CONFIGS[item.asset], locations)
-    assert base.shape is not None, "the kitchen's things are made from sizes"
-    shape = _scaled_shape(item, base.shape.model_dump(mode="json", exclude_none=True), conditions)
-    data = {"name": item.name, "shape": shape}
-    checked = ObjectConfig.model_validate({**base.model_dump(mode="json", exclude_none=True), **data})
-    assert checked.shape is not None
-    made = object_from_shape(item.name, checked.shape)
-    if item.asset == "cup" and nests:
-        made["grasp"] = _grasp_under_rim(made["grasp"], shape)
-    return ObjectConfig.model_validate({**data, **made})
+    base = load_config(ObjectConfig, "objects", _OBJECT_CONFIGS[item.asset], locations).with_name(item.name)
+    made = with_shape(base, _scaled_shape(item, shape_data(base), conditions))
+    return _grasped_under_rim(made) if item.asset == "cup" and nests else made
 
 
 def container_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Locations) -> ObjectConfig:
@@ -103,7 +84,7 @@ def container_config_of(item: SceneObject, blueprint: SceneBlueprint, locations:
 
     Raise LookupError if yamsim has none for the asset.
     """
-    if blueprint.target_kind == OPEN:
+    if blueprint.target_kind == GoalKind.OPEN:
         if item.asset not in LID_CONFIGS:
             raise LookupError(
                 f"object {item.name!r}: asset {item.asset!r} has no lid that opens; valid: {', '.join(LID_CONFIGS)}"
@@ -132,8 +113,8 @@ def _lid_config_of(container: SceneObject, base: ObjectConfig, locations: Locati
         rim = base.shape.wall_mm + _POT_RIM
         data |= {"size_mm": [across, across, data["size_mm"][2]], "corner_mm": across / 2 - 0.5, "inset_mm": rim}
         return with_shape(lid, data)
-    factor = (container.size_cm or 0.0) / ASSETS[container.asset].footprint_w_cm or 1.0
-    return with_shape(lid, {**data, **_scaled_sizes(data, factor)})
+    nominal = ASSETS[container.asset].footprint_w_cm
+    return with_shape(lid, {**data, **_scaled_sizes(data, (container.size_cm or nominal) / nominal)})
 
 
 def _grasped_near_top(lid: ObjectConfig) -> ObjectConfig:
@@ -143,6 +124,17 @@ def _grasped_near_top(lid: ObjectConfig) -> ObjectConfig:
     friction, at = data["grasp"]["friction"], [0.0, 0.0, lid.shape.height_mm / 1000 - _SCREW_LID_GRASP_DEPTH]
     points = [{**point, "position": at} for point in friction["points"]]
     grasp = {**data["grasp"], "position": at, "friction": {**friction, "points": points}}
+    return ObjectConfig.model_validate({**data, "grasp": grasp})
+
+
+def _grasped_under_rim(cup: ObjectConfig) -> ObjectConfig:
+    """Return a cup that is grasped just under its rim first, as it goes into another cup by two thirds."""
+    assert isinstance(cup.shape, VesselShape)
+    data = cup.model_dump(mode="json", exclude_none=True)
+    at, opening = [0.0, 0.0, cup.shape.height_mm / 1000 - _RIM_GRASP_DEPTH], cup.shape.diameter_mm / 2000
+    friction = data["grasp"]["friction"]
+    top = [{**point, "position": at, "opening": opening} for point in friction["points"]]
+    grasp = {**data["grasp"], **top[0], "friction": {**friction, "points": [*top, *friction["points"]]}}
     return ObjectConfig.model_validate({**data, "grasp": grasp})
 
 
@@ -165,14 +157,6 @@ def _scaled_sizes(shape: Mapping[str, Any], factor: float) -> dict[str, Any]:
     if "size_mm" in shape:
         grown["size_mm"] = [value * factor for value in shape["size_mm"]]
     return grown
-
-
-def _grasp_under_rim(grasp: dict[str, Any], shape: Mapping[str, Any]) -> dict[str, Any]:
-    """Prefer grasp points just under the rim, for a cup that goes into another cup by two thirds."""
-    height, opening = shape["height_mm"] / 1000 - _RIM_GRASP_DEPTH, shape["diameter_mm"] / 2000
-    friction = grasp["friction"]
-    top = [{**point, "position": [0.0, 0.0, height], "opening": opening} for point in friction["points"]]
-    return {**grasp, **top[0], "friction": {**friction, "points": [*top, *friction["points"]]}}
 
 
 def _scaled_shape(item: SceneObject, shape: dict[str, Any], conditions: Mapping[str, Any]) -> dict[str, Any]:
@@ -209,7 +193,7 @@ def cloth_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
             f"object {item.name!r}: asset {item.asset!r} is not a supported cloth; valid: {', '.join(CLOTH_CONFIGS)}"
         )
     base = load_config(ObjectConfig, "objects", CLOTH_CONFIGS[item.asset], locations).cloth
-    assert base is not None, "sheets are cloth"
+    assert base is not None, "`CLOTH_CONFIGS` has cloth only"
     nominal = ASSETS[item.asset].footprint_w_cm
     factor = (item.size_cm or nominal) / nominal
     grown: dict[str, Any] = {"size_mm": [side * factor for side in base.size_mm], "mass_g": base.mass_g * factor**2}

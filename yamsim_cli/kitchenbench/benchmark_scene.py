@@ -15,9 +15,10 @@ from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
 from ..core.attempt_data import ObjectLayout
 from ..core.config.goals.role_assignment import RoleAssignment
 from ..core.config.objects.object_config import ObjectConfig
-from ..core.config.program_task import PROGRAM_KIND, Filling, ProgramTask, Region, TableArea
+from ..core.config.program_task import PROGRAM_KIND, ProgramTask
 from ..core.config.recording import RecordConfig
 from ..core.config.session import Session
+from ..core.config.task_objects import Filling, Region, TableArea
 from ..core.episode.episode import Episode
 from ..core.episode.expert import arm_sides
 from ..core.episode.simulator import Simulator
@@ -30,20 +31,19 @@ from .asset_configs import (
     CLOTH_CONFIGS,
     COMPARTMENT,
     CRUMPLE_CONDITION,
-    FOLD_GOAL_KIND,
     cloth_config_of,
     container_config_of,
     crumpled_start,
     object_config_of,
 )
-from .lids import LID_CONDITIONS, OPEN, SEAL
+from .goal_kinds import GoalKind
+from .lids import LID_CONDITIONS
 from .object_poses import BESIDE, T_in_world, feasible_poses, origin_in_world
 from .pasta import (
-    POUR,
-    SCOOP,
     STRAND_CONDITION,
     describe_coarse_pieces,
     describe_pile,
+    describe_tool,
     fillings_of,
     is_body,
     is_pile,
@@ -53,10 +53,7 @@ from .pasta import (
 STATION_RIG = "yam_station_linear_4310_d405"  # name of the rig's config
 TICK_HZ = 30  # Hz, control ticks
 
-#: Kinds of KitchenBench's goals whose scenes can be built.
-GOAL_KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD_GOAL_KIND, OPEN, SEAL, POUR, SCOOP})
-_PASTA_KINDS = (POUR, SCOOP)  # kinds of goals with loose pieces
-_HANDED_OVER = "handoff"  # a cup is not put into another object
+_PASTA_KINDS = (GoalKind.POUR, GoalKind.SCOOP)  # kinds of goals with loose pieces
 
 _PLACEHOLDER_TASK = "tower"  # replaced by a scene of KitchenBench
 _PHYSICS_STEPS, _CLOTH_PHYSICS_STEPS = 16, 8  # per control tick, without and with cloth
@@ -150,10 +147,10 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
 
     Raise LookupError for a kind of goal or an object that yamsim does not have.
     """
-    if blueprint.target_kind not in GOAL_KINDS:
+    if blueprint.target_kind not in list(GoalKind):
         raise LookupError(
             f"scene {blueprint.scene_id!r}: goals of kind {blueprint.target_kind!r} are not supported; "
-            f"valid: {', '.join(sorted(GOAL_KINDS))}"
+            f"valid: {', '.join(sorted(GoalKind))}"
         )
     things = [item for item in blueprint.objects if is_body(item)]
     objects = [_config_of(item, blueprint, base) for item in things]
@@ -170,20 +167,21 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
         name: round(1000 * float(np.linalg.norm(_horizontal_position(simulator.scene, start, name) - T[:2, 3])), 2)
         for name, T in wanted.items()
     }
-    coarse = [describe_coarse_pieces(name, one, blueprint, base.locations) for name, one in fillings.items()]
-    coarse += [describe_pile(item, blueprint) for item in things if is_pile(item)]
-    unrealized = (*_unrealized_conditions(blueprint, offsets), *coarse)
+    differences = [describe_coarse_pieces(name, one, blueprint, base.locations) for name, one in fillings.items()]
+    differences += [describe_pile(item, blueprint) for item in things if is_pile(item)]
+    differences += [describe_tool(item, blueprint, base.locations) for item in things]
+    unrealized = (*_unrealized_conditions(blueprint, offsets), *differences)
     return BenchmarkScene(blueprint, simulator, start, offsets, tuple(filter(None, unrealized)))
 
 
 def _config_of(item: SceneObject, blueprint: SceneBlueprint, base: Session) -> ObjectConfig:
-    if item.asset in CLOTH_CONFIGS or blueprint.target_kind == FOLD_GOAL_KIND:
+    if item.asset in CLOTH_CONFIGS or blueprint.target_kind == GoalKind.FOLD:
         return cloth_config_of(item, blueprint, base.locations)
-    if blueprint.target_kind in (OPEN, SEAL):
+    if blueprint.target_kind in (GoalKind.OPEN, GoalKind.SEAL):
         return container_config_of(item, blueprint, base.locations)
     if blueprint.target_kind in _PASTA_KINDS:
         return pasta_config_of(item, blueprint, base.locations)
-    return object_config_of(item, blueprint.conditions, base.locations, blueprint.target_kind != _HANDED_OVER)
+    return object_config_of(item, blueprint.conditions, base.locations, blueprint.target_kind != GoalKind.HANDOFF)
 
 
 def _horizontal_position(scene: CompiledScene, qpos: Array, name: str) -> Array:
@@ -230,7 +228,7 @@ def table_area(config: RecordConfig, blueprints: Iterable[SceneBlueprint]) -> Ta
     for blueprint in blueprints:
         for item in filter(is_body, blueprint.objects):
             asset = ASSETS[item.asset]
-            if blueprint.target_kind == FOLD_GOAL_KIND:
+            if blueprint.target_kind == GoalKind.FOLD:
                 # Cloth lies flat at any angle.
                 factor = (item.size_cm or asset.footprint_w_cm) / asset.footprint_w_cm
                 reach = math.hypot(asset.footprint_w_cm, asset.footprint_h_cm) * factor / 200 + _CLOTH_MARGIN
@@ -287,13 +285,14 @@ def _lower_objects(simulator: Simulator, wanted: Mapping[str, Array]) -> Array:
 
 def _unrealized_conditions(blueprint: SceneBlueprint, offsets: Mapping[str, float]) -> tuple[str, ...]:
     lines = []
+    realized = _REALIZED_CONDITIONS | (LID_CONDITIONS if blueprint.target_kind == GoalKind.OPEN else frozenset())
     for name, value in blueprint.conditions.items():
         if name in _POLICY_CONDITIONS:
             lines.append(f"{name}={value}: up to the policy, and not enforced")
-        elif name not in _REALIZED_CONDITIONS and not (blueprint.target_kind == OPEN and name in LID_CONDITIONS):
+        elif name not in realized:
             lines.append(f"{name}={value}: not simulated")
     for item in blueprint.objects:
-        if item.amount_g is not None and blueprint.target_kind != POUR:
+        if item.amount_g is not None and blueprint.target_kind != GoalKind.POUR:
             lines.append(f"{item.name}: amount_g={item.amount_g:g}: not simulated")
         if (off := offsets.get(item.name, 0.0)) > _MAX_OFFSET_MM:
             lines.append(f"{item.name}: came to rest {off:.0f} mm from its requested place")

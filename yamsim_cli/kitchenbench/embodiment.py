@@ -28,11 +28,12 @@ from ..core.config.recording import RecordConfig
 from ..core.episode.attempt_payload import render_cameras
 from ..core.episode.simulator import Simulator
 from ..core.errors import SimulationError, UsageError, suggest_similar
-from .benchmark_scene import GOAL_KINDS, TICK_HZ, build_benchmark_scene, open_station_session
+from .benchmark_scene import TICK_HZ, build_benchmark_scene, open_station_session
 from .cartesian_control import EEF_STATE, START, CartesianStation
+from .goal_kinds import GoalKind
 from .scene_stepper import ACTION_DIM, ARM_JOINTS, MIN_CLOSING_S, SceneStepper
 from .success_judges import GoalJudge, Judge, KitchenJudge
-from .yamsim_scene import BENCHMARK, GOAL_KIND, build_task_scene
+from .yamsim_scene import BENCHMARK, TASK_GOAL_KIND, build_task_scene
 
 #: Keys of observed states: joint positions, and the seed from which the scene was built, for the expert alone.
 JOINTS, SEED = "joint_pos", "realization_seed"
@@ -159,7 +160,7 @@ class YamsimEmbodiment:
             control_hz=TICK_HZ / self._ticks,
             is_simulated=True,
             capabilities=frozenset({SEEDABLE, RESETTABLE, PRIVILEGED_SUCCESS, *([RENDERABLE] if images else [])}),
-            supported_target_kinds=GOAL_KINDS | {GOAL_KIND},
+            supported_target_kinds=frozenset({*(kind.value for kind in GoalKind), TASK_GOAL_KIND}),
             docs=description,
             environment_id="yamsim",
             environment_revision=__version__,

@@ -13,15 +13,13 @@ from ..core.config.objects.generated import object_from_shape
 from ..core.config.objects.object_config import ObjectConfig
 from ..core.config.objects.shapes import CapShape, ContainerShape, LidShape, VesselShape
 
-#: KitchenBench's kinds of goals in which a lid is opened, and put onto its container.
-OPEN, SEAL = "open", "seal"
 #: Name of the lid of a container: of the link, of its joint, and the prefix of its handles' names.
 LID = "lid"
 #: The asset whose lid snaps on; the other lids are screwed.
 SNAP_ASSET = "food_container"
-#: Assets with a lid for `OPEN` -> config of that lid.
+#: Assets with a lid for `GoalKind.OPEN` -> config of that lid.
 LID_CONFIGS = {"jar": "kitchen_jar_lid", "bottle": "kitchen_bottle_cap", SNAP_ASSET: "kitchen_lid"}
-#: Conditions that lids fulfil for `OPEN`.
+#: Conditions that lids fulfil for `GoalKind.OPEN`.
 LID_CONDITIONS = frozenset({"lid_torque_nm", "cap_turns", "pry_force_n"})
 
 # m per turn, lead of a thread. Source: glass finishes with a continuous thread have 4 to 8 threads an inch.

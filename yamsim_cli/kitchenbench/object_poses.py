@@ -13,9 +13,9 @@ from ..core.episode.simulator import Simulator
 from ..core.geometry.se3 import Array, invert_pose, pose, rotation_z
 from ..core.scene.start_sampling import footprint_corners, footprint_distance
 from ..core.sim.sim_world import make_sim_world
-from .asset_configs import FOLD_GOAL_KIND
-from .lids import LID, OPEN, SEAL, SNAP_ASSET
-from .pasta import POUR, SCOOP, is_body, is_pile
+from .goal_kinds import GoalKind
+from .lids import LID, SNAP_ASSET
+from .pasta import is_body, is_pile
 
 #: Position of the blueprints' origin in `world`: ahead and to the left of the midpoint between the arms' bases, m.
 #: Scenes extend from there to the right, so this centres most objects before the arms.
@@ -52,17 +52,17 @@ _MAX_OVERLAP_SHIFT = 0.02  # m, accepted displacement to avoid an overlap with a
 
 def origin_in_world(blueprint: SceneBlueprint) -> tuple[float, float]:
     """Return the position of a blueprint's origin in `world`, m."""
-    if blueprint.target_kind == FOLD_GOAL_KIND:
+    if blueprint.target_kind == GoalKind.FOLD:
         return (CLOTH_AHEAD, CLOTH_BESIDE)
-    if blueprint.target_kind == OPEN:
+    if blueprint.target_kind == GoalKind.OPEN:
         snaps = any(item.asset == SNAP_ASSET for item in blueprint.objects)
         return (SNAP_AHEAD, SNAP_BESIDE) if snaps else (SCREW_AHEAD, SCREW_BESIDE)
-    if blueprint.target_kind == POUR:
+    if blueprint.target_kind == GoalKind.POUR:
         return (POUR_AHEAD, POUR_BESIDE)
-    if blueprint.target_kind == SCOOP:
+    if blueprint.target_kind == GoalKind.SCOOP:
         far = any(item.role == "container" and item.x_cm > _FAR_CM for item in blueprint.objects)
         return (FAR_SCOOP_AHEAD if far else SCOOP_AHEAD, SCOOP_BESIDE)
-    return (LID_AHEAD, LID_BESIDE) if blueprint.target_kind == SEAL else (AHEAD, BESIDE)
+    return (LID_AHEAD, LID_BESIDE) if blueprint.target_kind == GoalKind.SEAL else (AHEAD, BESIDE)
 
 
 def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
@@ -86,94 +86,82 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
     """
     wanted = {item.name: T_in_world(item, blueprint) for item in blueprint.objects if is_body(item)}
     world = make_sim_world(simulator.scene, simulator.state_replay.data, ())
-    room = {name: world.local_box(name) for name in wanted}
-    area = {name: float(np.prod((block[1] - block[0])[:2])) for name, block in room.items()}
+    boxes = {name: world.local_box(name) for name in wanted}
+    area = {name: float(np.prod((box[1] - box[0])[:2])) for name, box in boxes.items()}
     places = {name: wanted[name].copy() for name in sorted(wanted, key=lambda name: -area[name])}
     for rack in blueprint.roles.get("rack", ()):
-        for name, T in places.items():
-            if name == rack:
-                continue
-            away = math.copysign(_STEP, T[1, 3] - places[rack][1, 3])
-            while (
-                footprint_distance(footprint_corners(room[name], T), footprint_corners(room[rack], places[rack]))
-                < _RACK_GAP
-            ):
-                T[1, 3] += away
-    if blueprint.target_kind == SEAL:
-        _put_beside(places, room, blueprint.roles[LID][0], blueprint.roles["container"][0])
-    if blueprint.target_kind == POUR:
-        _put_beside(places, room, blueprint.roles["source"][0], blueprint.roles["vessel"][0])
-    if blueprint.target_kind == SCOOP:
+        for name in places:
+            if name != rack:
+                _put_beside(places, boxes, name, rack, _RACK_GAP)
+    # A lid on its container would count as sealed, and a source must not stand in the vessel.
+    if blueprint.target_kind == GoalKind.SEAL:
+        _put_beside(places, boxes, blueprint.roles[LID][0], blueprint.roles["container"][0])
+    if blueprint.target_kind == GoalKind.POUR:
+        _put_beside(places, boxes, blueprint.roles["source"][0], blueprint.roles["vessel"][0])
+    if blueprint.target_kind == GoalKind.SCOOP:
         for role, gap in (("tool", _BESIDE_GAP), ("container", _WRIST_GAP)):
-            _put_beside(places, room, blueprint.roles[role][0], blueprint.roles["substance"][0], gap)
+            _put_beside(places, boxes, blueprint.roles[role][0], blueprint.roles["substance"][0], gap)
     for tray in blueprint.roles.get("tray", ()):
         middles = [item.x_cm / 100 for item in blueprint.objects if item.parent == tray]
         for name in places:
-            free = [] if name == tray else _beside_walls(places[name], room[name], places[tray], room[tray], middles)
+            free = [] if name == tray else _beside_walls(places[name], boxes[name], places[tray], boxes[tray], middles)
             if free:
                 others = [
-                    footprint_corners(room[other], places[other]) for other in places if other not in (name, tray)
+                    footprint_corners(boxes[other], places[other]) for other in places if other not in (name, tray)
                 ]
-                places[name] = min(free, key=partial(_displacement_cost, places[name], room[name], others))
-                _displace_from_tray(name, places, wanted, room, tray)
+                places[name] = min(free, key=partial(_displacement_cost, places[name], boxes[name], others))
+                _displace_from_tray(name, places, wanted, boxes, tray)
     return places
 
 
 def _put_beside(
-    places: dict[str, Array], room: Mapping[str, Array], name: str, other: str, gap: float = _BESIDE_GAP
+    places: dict[str, Array], boxes: Mapping[str, Array], name: str, other: str, gap: float = _BESIDE_GAP
 ) -> None:
-    """Displace an object along y until its footprint is `gap` or more from the footprint of `other`, m.
-
-    A lid on its container would count as sealed, and a source must not stand in the vessel.
-    """
+    """Displace an object along y until its footprint is `gap` or more from the footprint of `other`, m."""
     T = places[name]
     away = math.copysign(_STEP, T[1, 3] - places[other][1, 3])
-    while footprint_distance(footprint_corners(room[name], T), footprint_corners(room[other], places[other])) < gap:
+    while _gap_between(places, boxes, name, other) < gap:
         T[1, 3] += away
 
 
+def _gap_between(poses: Mapping[str, Array], boxes: Mapping[str, Array], name: str, other: str) -> float:
+    """Return the distance between the footprints of two objects, m; negative if they overlap."""
+    return footprint_distance(*(footprint_corners(boxes[one], poses[one]) for one in (name, other)))
+
+
 def _displace_from_tray(
-    name: str, places: dict[str, Array], wanted: Mapping[str, Array], room: Mapping[str, Array], tray: str
+    name: str, places: dict[str, Array], wanted: Mapping[str, Array], boxes: Mapping[str, Array], tray: str
 ) -> None:
     """Displace objects beside a tray that would lie under another one, unless the blueprint requires that."""
     for other, T in places.items():
         if (
             other in (name, tray)
-            or footprint_distance(footprint_corners(room[other], T), footprint_corners(room[tray], places[tray])) < 0
+            or _gap_between(places, boxes, other, tray) < 0
+            or _gap_between(wanted, boxes, other, name) < 0
         ):
             continue
-        if (
-            footprint_distance(
-                footprint_corners(room[other], wanted[other]), footprint_corners(room[name], wanted[name])
-            )
-            < 0
-        ):
-            continue
-        before, away = T[1, 3], math.copysign(_STEP, T[1, 3] - places[name][1, 3])
-        while (
-            footprint_distance(footprint_corners(room[other], T), footprint_corners(room[name], places[name])) < _STEP
-        ):
-            T[1, 3] += away
-        if T[1, 3] != before:
-            _displace_from_tray(other, places, wanted, room, tray)
+        y = T[1, 3]
+        _put_beside(places, boxes, other, name, _STEP)
+        if T[1, 3] != y:
+            _displace_from_tray(other, places, wanted, boxes, tray)
 
 
-def _displacement_cost(T_required: Array, block: Array, others: Sequence[Array], T: Array) -> float:
+def _displacement_cost(T_required: Array, box: Array, others: Sequence[Array], T: Array) -> float:
     """Return the distance of a pose (4, 4) from the required one, m, plus `_MAX_OVERLAP_SHIFT` for each overlap."""
-    overlaps = sum(footprint_distance(footprint_corners(block, T), other) < 0 for other in others)
+    overlaps = sum(footprint_distance(footprint_corners(box, T), other) < 0 for other in others)
     return float(np.linalg.norm(T[:2, 3] - T_required[:2, 3])) + _MAX_OVERLAP_SHIFT * overlaps
 
 
-def _beside_walls(T: Array, block: Array, T_tray: Array, tray: Array, middles: Sequence[float]) -> list[Array]:
+def _beside_walls(T: Array, box: Array, T_tray: Array, tray: Array, middles: Sequence[float]) -> list[Array]:
     """Return poses (4, 4) of an object in a tray's compartments or beside the tray, the nearest first.
 
     Args:
         T: required pose (4, 4). If the object overlaps no wall there, the result is empty.
-        block, tray: corners (2, 3) of both bounding boxes, in their own frames, m.
+        box, tray: corners (2, 3) of both bounding boxes, in their own frames, m.
         middles: of the tray's compartments, x in its frame, m.
     """
     T_in_tray = invert_pose(T_tray) @ T
-    half = np.abs(T_in_tray[:2, :2]) @ ((block[1] - block[0])[:2] / 2)
+    half = np.abs(T_in_tray[:2, :2]) @ ((box[1] - box[0])[:2] / 2)
     outer = (tray[1] - tray[0])[:2] / 2
     cell = np.array([outer[0] / len(middles), outer[1]]) - _WALL_THICKNESS
     place, cells = T_in_tray[:2, 3], [np.array((middle, 0.0)) for middle in middles]

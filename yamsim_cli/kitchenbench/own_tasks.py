@@ -8,7 +8,7 @@ from functools import partial
 from inspect_robots import Epochs, Scene, Target, Task
 
 from .benchmark_scene import open_station_session
-from .yamsim_scene import BENCHMARK, GOAL_KIND
+from .yamsim_scene import BENCHMARK, TASK_GOAL_KIND
 
 _DEFAULT_TRIALS = 5  # without the option `--epochs`, as in KitchenBench's scenes
 
@@ -23,7 +23,7 @@ def make_task(name: str) -> Task:
             Scene(
                 id=name,
                 instruction=task.language_prompt,
-                target=Target(kind=GOAL_KIND, spec={"task": name}),
+                target=Target(kind=TASK_GOAL_KIND, spec={"task": name}),
                 init_seed=zlib.crc32(f"{BENCHMARK}/{name}".encode()),
                 metadata={"benchmark": BENCHMARK, "task": name},
             )

@@ -15,13 +15,12 @@ from kitchenbench.sim.blueprint import SceneBlueprint, SceneObject
 from ..core.config.loader import load_config
 from ..core.config.objects.object_config import ObjectConfig
 from ..core.config.objects.primitives import Box, Capsule
-from ..core.config.program_task import Filling
+from ..core.config.task_objects import Filling
 from ..core.files.resources import Locations
 from ..loose_pieces import piece_count
 from .asset_configs import COMPARTMENT, object_config_of, shape_data, with_shape
+from .goal_kinds import GoalKind
 
-#: The kinds of KitchenBench's goals in which a substance is poured into a vessel, and scooped into a container.
-POUR, SCOOP = "pour_into", "scoop_transfer"
 #: The condition of a scene that gives the length of its pasta.
 STRAND_CONDITION = "strand_length_cm"
 # Asset of a substance -> object config of one piece.
@@ -111,12 +110,12 @@ def pasta_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
         dish = _smooth(with_shape(base, {**shape_data(base), **sizes, "mass_g": _DISH_GRAMS}))
         return _with_far_wall_and_bars(dish, _pile_for(blueprint))
     base = object_config_of(item, blueprint.conditions, locations, nests=False)
-    if blueprint.target_kind == SCOOP and item.asset in _TOOL_SIZES:
+    if blueprint.target_kind == GoalKind.SCOOP and item.asset in _TOOL_SIZES:
         data = {**shape_data(base), **_TOOL_SIZES[item.asset]}
         if item.asset != _CUP_ASSET:
             data["materials"] = {**data["materials"], "handle": _WOOD}
         return _smooth(with_shape(base, data))
-    if item.asset != _CARTON_ASSET or blueprint.target_kind == SCOOP:
+    if item.asset != _CARTON_ASSET or blueprint.target_kind == GoalKind.SCOOP:
         return _smooth(base)
     data = shape_data(base)
     carton = {"family": "container", "size_mm": data["size_mm"], "wall_mm": _CARTON_WALL, "corner_mm": _CARTON_WALL}
@@ -177,12 +176,12 @@ def _solid_piece(asset: str, locations: Locations) -> ObjectConfig:
 
 
 def _thick_enough(piece: ObjectConfig, grams: float, most: int, thinner: bool) -> ObjectConfig:
-    """Return a piece so thick that `most` of them weigh `grams`, if thinner ones would be too many.
+    """Return a piece so thick that `most` of them weigh `grams`, if more of the given ones would be needed.
 
-    With `thinner`, a piece that is thicker than this becomes thinner.
+    With `thinner`, a piece also becomes thinner, if fewer than `most` of the given ones would weigh `grams`.
 
-    Longer pieces would wedge themselves between the walls of a carton, which are 37 mm apart: one of 70 mm can lean by
-    26 degrees at most there.
+    Pieces get thicker and not longer: longer ones would wedge themselves between the walls of a carton, which are 37 mm
+    apart. One of 70 mm can lean by 26 degrees at most there.
     """
     factor = math.sqrt(grams / (most * piece.inertia.mass_g))
     if factor <= 1.0 and not thinner:
@@ -199,11 +198,8 @@ def describe_coarse_pieces(filled: str, filling: Filling, blueprint: SceneBluepr
     thick, count = shape_data(filling.of)["diameter_mm"], piece_count(filling)[0]
     text = f"{filling.of.name}: {filling.grams:.0f} g are {count}"
     if data["wall_mm"]:
-        each, tube = (
-            filling.grams / count,
-            f"tubes {data['diameter_mm']:.1f} mm thick of {nominal.inertia.mass_g:.1f} g",
-        )
-        return f"{text} solid pieces {thick:.1f} mm thick of {each:.1f} g instead of {tube}"
+        tube = f"tubes {data['diameter_mm']:.1f} mm thick of {nominal.inertia.mass_g:.1f} g"
+        return f"{text} solid pieces {thick:.1f} mm thick of {filling.grams / count:.1f} g instead of {tube}"
     if thick <= data["diameter_mm"]:
         return ""
     return f"{text} pieces {thick:.1f} mm thick instead of {data['diameter_mm']:.1f} mm"
@@ -215,3 +211,12 @@ def describe_pile(item: SceneObject, blueprint: SceneBlueprint) -> str:
     pile = _pile_for(blueprint)
     size = " x ".join(f"{side:.0f}" for side in pile.dish_mm) + " mm"
     return f"{item.name}: {pile.grams:.0f} g in pieces of {pile.length_mm:.0f} mm, in a dish of {size}{depth}"
+
+
+def describe_tool(item: SceneObject, blueprint: SceneBlueprint, locations: Locations) -> str:
+    """Return the sizes in which a tool to scoop with differs from the same object in other scenes, or ""."""
+    if blueprint.target_kind != GoalKind.SCOOP or item.asset not in _TOOL_SIZES:
+        return ""
+    usual = shape_data(object_config_of(item, blueprint.conditions, locations, nests=False))
+    sizes = _TOOL_SIZES[item.asset].items()
+    return f"{item.name}: {', '.join(f'{key}={size:g} instead of {usual[key]:g}' for key, size in sizes)}"

@@ -16,9 +16,8 @@ from kitchenbench.sim.success import (
     TRANSFER_FRACTION,
 )
 
-from .asset_configs import FOLD_GOAL_KIND
-from .lids import LID, OPEN, SEAL
-from .pasta import POUR, SCOOP
+from .goal_kinds import GoalKind
+from .lids import LID
 from .skill_programs import compartments, fold_limit
 
 _HOLD_SECONDS = 0.5  # s; KitchenBench's checkers require a single state
@@ -42,38 +41,38 @@ def _clauses(blueprint: SceneBlueprint) -> list[Mapping[str, Any]]:
     roles = {role: names[0] for role, names in blueprint.roles.items()}
     wanted = blueprint.success_params
     match blueprint.target_kind:
-        case "place_on":
+        case GoalKind.PLACE_ON:
             pair = {"thing": roles["item"], "surface": roles["surface"]}
             if _asset_of(blueprint, roles["surface"]) in ("plate", "bowl"):
                 # Short cutlery comes to rest on a plate's floor, 28 mm below its rim. The checker measures from the
                 # rim, and accepts 20 mm: it reports success while the cutlery falls.
                 return [{"on": pair}]
             return [{"over": {**pair, "gap": CONTACT_TOL_M}}]
-        case "stack":
+        case GoalKind.STACK:
             return [{"piled": {"things": list(blueprint.roles["stack"]), "gap": CONTACT_TOL_M}}]
-        case "place_in":
+        case GoalKind.PLACE_IN:
             return [
                 {"in": {"thing": roles["item"], "container": rack_region(roles["rack"]), "share": CONTAIN_FRACTION}}
             ]
-        case "handoff":
+        case GoalKind.HANDOFF:
             return [{"handed_over": {"thing": roles["item"], "to": str(wanted.get("receiving_arm", "either"))}}]
-        case "sort":
+        case GoalKind.SORT:
             return [
                 {"in": {"thing": name, "container": region, "share": CONTAIN_FRACTION}}
                 for name, region in compartments(blueprint).items()
             ]
-        case kind if kind == FOLD_GOAL_KIND:
+        case GoalKind.FOLD:
             cloth = next(item for item in blueprint.objects if item.name == roles["cloth"])
             limit = fold_limit(blueprint, cloth)
             return [{"folded_small": {"thing": cloth.name, "height": FOLD_MAX_HEIGHT_M, **limit}}]
-        case kind if kind == OPEN:
+        case GoalKind.OPEN:
             return [{"open": {"thing": roles["container"], "joint": LID, "share": OPEN_FRACTION}}]
-        case kind if kind == SEAL:
+        case GoalKind.SEAL:
             return [{"over": {"thing": roles["lid"], "surface": roles["container"], "gap": SEAL_TOL_M}}]
-        case kind if kind == POUR:
+        case GoalKind.POUR:
             least = TRANSFER_FRACTION * float(wanted["total_g"])
             return [{"contains": {"container": roles["vessel"], "pieces_of": roles["source"], "least_g": least}}]
-        case kind if kind == SCOOP:
+        case GoalKind.SCOOP:
             grams, slack = float(wanted["target_g"]), float(wanted.get("tol_g", SCOOP_TOL_G))
             limits = {"least_g": max(grams - slack, 0.0), "most_g": grams + slack}
             return [{"contains": {"container": roles["container"], "pieces_of": roles["substance"], **limits}}]

@@ -14,15 +14,16 @@ from kitchenbench.sim import build_blueprint
 from kitchenbench.sim.blueprint import SceneBlueprint
 
 from ..core.config.goals.world import TABLE
-from ..core.config.program_task import PROGRAM_KIND, Region
+from ..core.config.program_task import PROGRAM_KIND
+from ..core.config.task_objects import Region
 from ..core.errors import UsageError, suggest_similar
 from ..core.expert.skills.program import skill_name
 from ..core.files.documents.config_base import Config
 from ..core.sim.sim_world import make_sim_world
 from .asset_configs import start_extras
 from .benchmark_scene import STATION_RIG, BenchmarkScene, build_benchmark_scene, open_station_session, table_area
+from .goal_kinds import GoalKind
 from .object_poses import feasible_poses
-from .pasta import SCOOP
 from .scene_goals import goal_data, rack_region
 from .skill_programs import build_scene_program
 
@@ -124,7 +125,7 @@ def _scene_requirements(blueprint: SceneBlueprint) -> tuple[object, ...]:
     The amount of pasta, a lid's torque and the required area are those of the task's first realization.
     """
     slot = blueprint.conditions.get("slot_width_cm")
-    text = blueprint.instruction if blueprint.target_kind != SCOOP else ""  # it contains the amount
+    text = blueprint.instruction if blueprint.target_kind != GoalKind.SCOOP else ""  # it contains the amount
     return (slot, text, *((item.name, item.asset, item.size_cm) for item in blueprint.objects))
 
 

@@ -21,9 +21,9 @@ from ..kitchen_skills.pour import Pour
 from ..kitchen_skills.scoop import Scoop
 from ..kitchen_skills.sorting import Sort
 from .asset_configs import CRUMPLE_CONDITION, is_folded_in_thirds
-from .lids import LID, OPEN, SEAL
+from .goal_kinds import GoalKind
+from .lids import LID
 from .object_poses import T_in_world
-from .pasta import POUR, SCOOP
 
 _RACK_BOW_CLEARANCE = 0.008  # m, between a dish and the bow at an end of the rack
 _STACK_DROP = 0.02  # m, height of release: the fingers around the rim reach below it
@@ -43,29 +43,29 @@ def build_scene_program(
     """
     roles = blueprint.roles
     match blueprint.target_kind:
-        case "place_on":
+        case GoalKind.PLACE_ON:
             kinds = {item.name: item.asset for item in blueprint.objects}
             drop = _PLATE_DROP if kinds[roles["surface"][0]] == "plate" else 0.0
             return _pick_and_place(roles["item"][0], Place(thing=roles["item"][0], on=roles["surface"][0], drop=drop))
-        case "place_in":
+        case GoalKind.PLACE_IN:
             return _pick_and_place(
                 roles["item"][0], _slot_placement(blueprint, items, roles["item"][0], roles["rack"][0])
             )
-        case "handoff":
+        case GoalKind.HANDOFF:
             return _handover_program(blueprint, roles["item"][0])
-        case "stack":
+        case GoalKind.STACK:
             return _stack_program(blueprint, roles["stack"], bases)
-        case "sort":
+        case GoalKind.SORT:
             return [Sort(into=compartments(blueprint))]
-        case "fold":
+        case GoalKind.FOLD:
             return _fold_program(blueprint, roles["cloth"][0])
-        case kind if kind == OPEN:
+        case GoalKind.OPEN:
             return [OpenLid(thing=roles["container"][0], joint=LID)]
-        case kind if kind == POUR:
+        case GoalKind.POUR:
             return [Pour(thing=roles["source"][0], into=roles["vessel"][0])]
-        case kind if kind == SCOOP:
+        case GoalKind.SCOOP:
             return [_scoop(blueprint)]
-        case kind if kind == SEAL:
+        case GoalKind.SEAL:
             lid = roles["lid"][0]
             descent = _SCREW_LID_UNCHECKED_DESCENT if isinstance(items[lid].shape, CapShape) else 0.0
             return _pick_and_place(lid, Place(thing=lid, on=roles["container"][0], unchecked_descent=descent))

@@ -16,7 +16,7 @@ from .benchmark_scene import TICK_HZ
 
 #: In the metadata of scenes of yamsim tasks: the name of the benchmark, and the kind of goals.
 BENCHMARK = "yamsim"
-GOAL_KIND = "yamsim_goal"
+TASK_GOAL_KIND = "yamsim_goal"
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,9 @@ from ..core.attempt_data import ActionSequence, Attempt, AttemptJob
 from ..core.config.goals.goal import evaluate_goal
 from ..core.config.goals.role_assignment import RoleAssignment
 from ..core.config.goals.world import TABLE
-from ..core.config.program_task import NearMiss, ObjectStartRanges, ProgramTask
+from ..core.config.program_task import NearMiss, ProgramTask
 from ..core.config.session import Session
+from ..core.config.task_objects import ObjectStartRanges
 from ..core.episode.episode_rules import REPLAY_RULES
 from ..core.episode.execution import SimulatedAttempt, simulate_expert
 from ..core.episode.sampling import sample_attempt

@@ -22,6 +22,7 @@ from yamsim_cli.program_checks import check_task_config
 from yamsim_cli.session_opener import SessionOpener
 
 PICK: dict[str, Any] = {"pick": {"thing": "cube"}}
+LIFT = {"lift": {"thing": "cube"}}
 
 HALF = {"of": "plate", "position": [0, 0.05, 0], "size": [0.1, 0.05, 0.05]}
 CUP_OF_PASTA = {"of": "kitchen_measuring_cup", "filled": {"of": "kitchen_dry_pasta", "grams": 150}}
@@ -88,6 +89,19 @@ BAD = {
         {("expert",): [{"operate": {"thing": "cube", "joint": "lid", "to": 1}}]},
         "expert[0].operate.joint",
         "the cube_red has no part 'lid' with a handle; valid: (none)",
+    ),
+    "folded where points do not meet": (
+        {
+            ("things", "cube"): {"of": "soft_dish_towel"},
+            ("expert",): [{"fold": {"thing": "cube", "how": "diagonal"}}],
+        },
+        "expert[0].fold.how",
+        "along a diagonal: that needs equally many points along both sides, not 9 x 13",
+    ),
+    "folded to no size": (
+        {("expert",): [{"fold_small": {"thing": "cube"}}]},
+        "expert[0].fold_small",
+        "give either `area` or `share`",
     ),
     "nothing to hang it by": (
         {("expert",): [PICK, {"hang": {"thing": "cube", "onto": "plate"}}]},
@@ -446,6 +460,10 @@ def test_a_weld_needs_fingers_that_open_wide_enough(tmp_path: Path) -> None:
     )
     with pytest.raises(UsageError, match=r"^--task: object 'softball'"):
         session_of(tmp_path, wide)
+    # Every skill that takes an object takes it by a weld, not only `pick`.
+    lifted = changed({("grasps",): ["weld"], ("things", "cube", "of"): "024_bowl", ("expert",): [LIFT]})
+    with pytest.raises(UsageError, match=r"^--task: object 'bowl' has no `grasp`"):
+        session_of(tmp_path, lifted, rig="yam_station_linear_4310_d405")
 
 
 def test_flags_reach_into_a_task_with_their_roles(tmp_path: Path) -> None:
@@ -460,6 +478,10 @@ def test_flags_reach_into_a_task_with_their_roles(tmp_path: Path) -> None:
         session_of(tmp_path, changed({}), threshold=0.03)
     with pytest.raises(UsageError, match="--target: target 'apple' has neither a floor nor a flat top"):
         session_of(tmp_path, ONE_ARM, target="013_apple")
+    hang = {"hang": {"thing": "object", "onto": "target"}}
+    hung = changed({("expert",): [{"pick": {"thing": "object"}}, hang]}, ONE_ARM)
+    with pytest.raises(UsageError, match=r"^--object: the cube_green has no handle 'eye'"):
+        session_of(tmp_path, hung, object="cube_green")
 
 
 def test_a_datasets_config_states_defaults_too(tmp_path: Path) -> None:

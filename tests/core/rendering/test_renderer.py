@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from tests.attempts import start_of
-from yamsim_cli.core.config.program_task import Role
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.config.task_objects import Role
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files.resources import Locations

@@ -20,7 +20,7 @@ from ..files.documents.validation_messages import (
     mapping_value_type,
     models_in,
 )
-from ..files.documents.yaml_document import Document, KeyPath, is_flag_or_keyword, parse_yaml
+from ..files.documents.yaml_document import Document, KeyPath, is_setting, parse_yaml
 from ..files.resources import Locations
 from ..robots.dynamics import MeasuredArmDynamics
 from ..robots.models import ArmModel, Gripper
@@ -117,7 +117,7 @@ def load_config(
             _add_dynamics(document, path[:-1], value, place, locations)
         elif len(path) > 1:
             document.override_value(path, value, place)
-    flags = {path: place for path, (place, _) in changes.items() if is_flag_or_keyword(place)}
+    flags = {path: place for path, (place, _) in changes.items() if is_setting(place)}
     return _validate_document(model, document, locations, flags, check=check)
 
 
@@ -163,7 +163,7 @@ def _set_robot_revision(document: Document, path: KeyPath, revision: str, place:
         try:
             name = robot_names.other_revision(model, str(revision), locations)
         except ConfigError as error:
-            raise (UsageError if is_flag_or_keyword(place) else ConfigError)(f"{place}: {error}") from error
+            raise (UsageError if is_setting(place) else ConfigError)(f"{place}: {error}") from error
         document.override_value((*path, "arms", k, "model"), name, place)
 
 
@@ -173,7 +173,7 @@ def _add_dynamics(document: Document, path: KeyPath, files: Sequence[str], place
         try:
             dynamics = _load_named(MeasuredArmDynamics, _DYNAMICS_CONFIG_KIND, file, locations)
         except ConfigError as error:
-            raise (UsageError if is_flag_or_keyword(place) else ConfigError)(f"{place}: {error}") from error
+            raise (UsageError if is_setting(place) else ConfigError)(f"{place}: {error}") from error
         if instead := _explain_other_kind(MeasuredArmDynamics, dynamics):
             raise ConfigError(instead)
         base, side = _base_model_name(dynamics), dynamics.data.get("side")
@@ -183,7 +183,7 @@ def _add_dynamics(document: Document, path: KeyPath, files: Sequence[str], place
             document.insert_document((*path, "arms", k, "dynamics"), dynamics)
         if not matching:
             there = " and ".join(dict.fromkeys(f"{model!r} on the {on}" for model, on in arms.values()))
-            raise (UsageError if is_flag_or_keyword(place) else ConfigError)(
+            raise (UsageError if is_setting(place) else ConfigError)(
                 f"{place}: {file} is for {base!r}{f' on the {side}' if side else ''}, but the rig has {there}; "
                 "choose another rig"
             )
@@ -252,7 +252,7 @@ def _validate_document(
     except ConflictError as error:
         place, message = explain_conflict(document, error, flags or {})
         cause = error
-    kind = UsageError if is_flag_or_keyword(place) else ConfigError
+    kind = UsageError if is_setting(place) else ConfigError
     raise kind(f"{place}: {message}") from cause
 
 

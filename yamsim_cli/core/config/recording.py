@@ -16,11 +16,12 @@ from ..robots.joint_limits import describe_limit_violation
 from .mesh_provenance import PROVENANCE_PATTERN
 from .objects.object_config import ObjectConfig
 from .program_task import GraspKind as GraspKind
-from .program_task import ObjectStartRanges, ProgramTask
+from .program_task import ProgramTask
 from .randomization import RandomizationConfig
 from .rendering import ImageConfig, RenderConfig
 from .rig import ArmConfig, RigConfig
 from .scene import SceneConfig, Table
+from .task_objects import ObjectStartRanges
 
 SCENE_CAMERA = "scene_camera"  # the name of the scene's camera in recordings
 
@@ -172,7 +173,7 @@ class RecordConfig(Config):
                 ("task",),
             )
         if self.grasp == "weld":
-            # `core.expert.skills.program_checks` knows the objects that the task picks up, and checks them.
+            # `program_checks` knows the objects that the task picks up, and checks them.
             check_fingers(self.rig, self.acting_arms, {})
         else:
             _check_pads(self.grasp, self.rig, self.acting_arms)

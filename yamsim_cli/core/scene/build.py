@@ -11,11 +11,11 @@ import numpy as np
 from ...loose_pieces import loose_pieces, stacked_poses
 from ..config.mesh_provenance import FULL_MESHES, PRIMITIVES_ONLY, REDUCED_MESHES
 from ..config.objects.object_config import ObjectConfig
-from ..config.program_task import Region
 from ..config.recording import RecordConfig
 from ..config.rig import ArmConfig, RigConfig
 from ..config.scene import SceneConfig
 from ..config.session import Session
+from ..config.task_objects import Region
 from ..files.resources import Locations
 from ..files.writing import sha256_bytes
 from ..geometry.se3 import pose, rotation_z

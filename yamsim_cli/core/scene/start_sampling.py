@@ -10,8 +10,9 @@ import numpy as np
 from ..attempt_data import AttemptJob
 from ..config.goals.role_assignment import RoleAssignment
 from ..config.goals.world import TABLE
-from ..config.program_task import ObjectStartRanges, ProgramTask, StartOrientation
+from ..config.program_task import ProgramTask
 from ..config.scene import Table
+from ..config.task_objects import ObjectStartRanges, StartOrientation
 from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from .random_streams import Stream, random_generator
 

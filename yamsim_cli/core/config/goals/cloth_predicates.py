@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, FiniteFloat, model_validator
 
+from ...files.documents.config_base import Config
 from ...files.documents.units import Distance, QuantityBounds, Share
 from ...geometry.cloth_folding import ClothFoldKind, FoldPlan, fold_plans, outline_area, sheet_area
 from ...geometry.se3 import Array
@@ -83,7 +84,34 @@ class Spread(PerObjectPredicate):
         ]
 
 
-class FoldedSmall(PerObjectPredicate):
+class FoldedSize(Config):
+    """A cloth, and the largest area of its bounding box along the axes of `world`, seen from above.
+
+    Attributes:
+        thing: a role of cloth.
+        area: largest area of the box, m2.
+        share: instead of `area`, the largest area as a share of the box's area at the start.
+    """
+
+    thing: str
+    area: Annotated[FiniteFloat, QuantityBounds("m2", 1e-4, 4)] | None = None
+    share: Annotated[Share, Field(gt=0)] | None = None
+
+    @model_validator(mode="after")
+    def _exactly_one_given(self) -> Self:
+        if (self.area is None) == (self.share is None):
+            raise ValueError("give either `area` or `share`")
+        return self
+
+    def largest_box_area(self, world: GoalWorld, thing: str) -> float:
+        """Return the largest area of the box of an object, m2."""
+        if self.area is not None:
+            return self.area
+        assert self.share is not None  # checked with the config
+        return self.share * _footprint(*world.start_aabb(thing))
+
+
+class FoldedSmall(FoldedSize, PerObjectPredicate):
     """Each cloth lies flat, its bounding box along the axes of `world` is small seen from above, and no hand holds it.
 
     Attributes:
@@ -95,29 +123,14 @@ class FoldedSmall(PerObjectPredicate):
 
     IN_HAND: ClassVar[bool | None] = False
     JUDGES_CLOTH: ClassVar[bool] = True
-    area: Annotated[FiniteFloat, QuantityBounds("m2", 1e-4, 4)] | None = None
-    share: Annotated[Share, Field(gt=0)] | None = None
     height: Annotated[Distance, Field(gt=0)] = 0.04
-
-    @model_validator(mode="after")
-    def _exactly_one_given(self) -> FoldedSmall:
-        if (self.area is None) == (self.share is None):
-            raise ValueError("give either `area` or `share`")
-        return self
-
-    def largest_area(self, world: GoalWorld, thing: str) -> float:
-        """Return the largest area of the box of an object, m2."""
-        if self.area is not None:
-            return self.area
-        assert self.share is not None  # checked with the config
-        return self.share * _footprint(*world.start_aabb(thing))
 
     def _object_measures(self, world: GoalWorld, thing: str) -> list[GoalMeasure]:
         what = f"folded_small({thing})"
         if held := failure_if_held(world, thing, what):
             return [held]
         low, high = world.aabb(thing)
-        area, limit = _footprint(low, high), self.largest_area(world, thing)
+        area, limit = _footprint(low, high), self.largest_box_area(world, thing)
         tall = float(high[2] - low[2])
         detail = f"its box covers {area * 1e4:.0f} cm2, of {limit * 1e4:.0f} allowed"
         return [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Annotated, ClassVar, Literal
 
@@ -12,6 +12,7 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from ...files.documents.units import Distance, Place, QuantityBounds, Share
 from ...geometry.se3 import Array, invert_pose
+from ..objects.object_config import ObjectConfig
 from .cloth_predicates import Folded, FoldedSmall, Spread
 from .measure import GoalMeasure, binary_measure
 from .predicate import PerObjectPredicate, PerPairPredicate, Predicate, failure_if_held
@@ -467,6 +468,15 @@ class Hung(PerPairPredicate):
     peg: str = "peg"
     radius: Distance = 0.022
     depth: Distance = 0.015
+
+    def missing_handle(self, possible_objects: Callable[[str], Sequence[ObjectConfig]]) -> tuple[str, str] | None:
+        """Return an argument and the reason if one of its possible objects has no such handle; else None."""
+        for argument, role, handle in (("thing", self.thing, self.eye), ("onto", self.onto, self.peg)):
+            for item in possible_objects(role):
+                if handle not in (names := [known_handle.name for known_handle in item.handles]):
+                    known = ", ".join(names) or "(none)"
+                    return argument, f"the {item.name} has no handle {handle!r}; valid: {known}"
+        return None
 
     def _measure_pair(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
         what = f"hung({thing}, {other})"

@@ -81,6 +81,7 @@ class Handover(Skill):
     TYPICAL_SECONDS: ClassVar[float] = 4.7
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     HANDS: ClassVar[int] = 2
+    HANDS_OVER: ClassVar[bool] = True
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = True
     LEAVES_OBJECT_HELD: ClassVar[bool | None] = True
     PLACES: ClassVar[tuple[tuple[float, float, float, float], ...]] = _SEARCH_ORDER

@@ -9,6 +9,7 @@ import numpy as np
 from ...attempt_data import FailureCause
 from ...config.goals.predicates import Hung
 from ...config.goals.role_assignment import RoleAssignment
+from ...config.program_task import ProgramTask
 from ...geometry.se3 import Array, invert_pose, pose, rotation_z
 from ..planning.collision_checker import AttachedObject
 from ..planning.trajectory import is_collision_free, plan_cartesian_line
@@ -40,6 +41,10 @@ class Hang(Skill):
     LEAVES_OBJECT_HELD: ClassVar[bool | None] = False
     thing: str
     onto: str
+
+    def task_fault(self, task: ProgramTask) -> tuple[str, str] | None:
+        """Check that each object has the handle of its role: an eye, or a peg."""
+        return Hung(thing=self.thing, onto=self.onto).missing_handle(task.possible_objects)
 
     def approximate_targets(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Sequence[Array]:
         """Return the point (2,) of the peg's tip in `world`, m."""

@@ -13,6 +13,7 @@ from pydantic import Field, FiniteFloat, model_validator
 from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
 from ...config.goals.world import TABLE
+from ...config.program_task import ProgramTask
 from ...files.documents.units import QuantityBounds, WorkspaceCoordinate
 from ...geometry.se3 import Array, invert_pose, pose, rotation_z, yaw
 from ..planning.collision_checker import AttachedObject
@@ -210,6 +211,19 @@ class Place(PlaceSkill):
         if self.on == TABLE and self.at is None and self.start_of is None:
             raise ValueError("`on: table` needs a place: give `at` or `start_of`")
         return self
+
+    def task_fault(self, task: ProgramTask) -> tuple[str, str] | None:
+        """Check that each object that may be `on` can support another one."""
+        for item in () if self.on == TABLE else task.possible_objects(self.on):
+            if item.cloth is None and not item.can_support:
+                return "on", f"target {item.name!r} has neither a floor nor a flat top to put something on"
+        return None
+
+    def point_on_table(self) -> tuple[str, Array] | None:
+        """See `Skill.point_on_table`."""
+        if self.on != TABLE or self.at is None or self.start_of is not None:
+            return None
+        return "at", np.array(self.at) + self.number * np.array(self.step)
 
     def support_name(self, roles: RoleAssignment) -> str:
         """See `PlaceSkill.support_name`."""

@@ -46,6 +46,10 @@ class Push(Skill):
     radius: Positive = 0.02
     arm: ArmSelector = "any"
 
+    def point_on_table(self) -> tuple[str, Array]:
+        """Return the goal; see `Skill.point_on_table`."""
+        return "to", np.array(self.to)
+
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:

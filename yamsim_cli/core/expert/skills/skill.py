@@ -29,6 +29,8 @@ class Skill(Config):
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = None
     LEAVES_OBJECT_HELD: ClassVar[bool | None] = None
     HANDS: ClassVar[int] = 1  # that the skill needs
+    ONE_HAND_ALTERNATIVE: ClassVar[str] = ""  # arguments with which one hand suffices; part of an error message
+    HANDS_OVER: ClassVar[bool] = False  # whether the object goes from one hand to the other
     # Whether the skill manipulates cloth, else rigid objects; roles in `ROLES_OF_ANY_MATERIAL` may be either.
     HANDLES_CLOTH: ClassVar[bool] = False
     ROLES_OF_ANY_MATERIAL: ClassVar[tuple[str, ...]] = ()
@@ -80,6 +82,14 @@ class Skill(Config):
 
         Return an argument and the reason if an object does not suit it; else None.
         """
+        return None
+
+    def reason_to_be_last(self, task: ProgramTask) -> str | None:
+        """Return why no step can follow this one, with a remedy; None if steps can follow."""
+        return None
+
+    def point_on_table(self) -> tuple[str, Array] | None:
+        """Return the argument that gives a point of the table, and the point (2,) in `world`, m; None if none does."""
         return None
 
     @property

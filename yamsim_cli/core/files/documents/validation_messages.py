@@ -10,7 +10,7 @@ from pydantic_core import ErrorDetails
 
 from ...errors import count_noun, suggest_similar
 from .config_base import Config, ConflictError, require_ordered
-from .yaml_document import Document, KeyPath, is_flag_or_keyword
+from .yaml_document import Document, KeyPath, is_setting
 
 UNION_BRANCH_MARK = "<"  # first character of names that pydantic reports for branches of unions, which are no keys
 
@@ -41,14 +41,14 @@ def explain_validation_error(
         path, place = _offending_value(document, [(*path, *part) for part in fault.paths], flags)
     else:
         place = document.place_of(path)
-    key = "" if is_flag_or_keyword(place) else f"{format_key_path(path) or 'config'}: "
+    key = "" if is_setting(place) else f"{format_key_path(path) or 'config'}: "
     return place, f"{key}{_explain_detail(model, path, first)}{more}"
 
 
 def explain_conflict(document: Document, error: ConflictError, flags: Mapping[KeyPath, str]) -> tuple[str, str]:
     """Return the place and a message of a conflict raised outside of pydantic's validation."""
     path, place = _offending_value(document, list(error.paths), flags)
-    return place, str(error) if is_flag_or_keyword(place) else f"{format_key_path(path) or 'config'}: {error}"
+    return place, str(error) if is_setting(place) else f"{format_key_path(path) or 'config'}: {error}"
 
 
 def detect_other_kind(kinds: Mapping[str, type[Config]], wanted: str, data: Mapping[str, Any]) -> str | None:

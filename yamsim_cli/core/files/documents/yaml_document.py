@@ -25,9 +25,9 @@ _FLOAT_PATTERN = re.compile(
 )
 
 
-def is_flag_or_keyword(place: str) -> bool:
-    """Return whether the place of a value is a flag (`--arm`) or a keyword (`arm=`), not a file."""
-    return place.startswith("--") or place.endswith("=")
+def is_setting(place: str) -> bool:
+    """Return whether a value has the place of a flag (`--arm`), argument (`NAME`) or keyword (`arm=`), not a file."""
+    return place.startswith("--") or place.endswith("=") or (place.isidentifier() and place.isupper())
 
 
 class _AliasRefusal(yaml.composer.Composer):

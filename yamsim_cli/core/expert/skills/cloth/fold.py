@@ -7,6 +7,7 @@ import numpy as np
 
 from yamsim_cli.core.attempt_data import FailureCause
 from yamsim_cli.core.config.goals.role_assignment import RoleAssignment
+from yamsim_cli.core.config.program_task import ProgramTask
 from yamsim_cli.core.geometry.cloth_folding import ClothFoldKind as FoldKind
 from yamsim_cli.core.geometry.cloth_folding import FoldMove, fold_plans
 from yamsim_cli.core.geometry.se3 import Array
@@ -19,6 +20,12 @@ from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_o
 _LAYERED_SPEED = 0.08  # m/s, in folds after the first: several layers come apart at a higher speed
 _MAX_CORNER_ERROR = 0.02  # m, horizontal distance from its target below which a corner is already placed
 
+# Folds that not every cloth's grid allows, and what they need; parts of an error message.
+_NEEDS = {
+    "diagonal": "along a diagonal: that needs equally many points along both sides",
+    "thirds": "in thirds: that needs 6, 9, 12, ... points along a side",
+}
+
 
 class Fold(Skill):
     """Fold flat cloth: in half or in thirds with two hands, or along a diagonal with one hand.
@@ -30,6 +37,7 @@ class Fold(Skill):
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
     HANDLES_CLOTH: ClassVar[bool] = True
+    ONE_HAND_ALTERNATIVE: ClassVar[str] = "fold `diagonal`"
     thing: str
     how: FoldKind = "half"
 
@@ -38,10 +46,13 @@ class Fold(Skill):
         """Hands that the fold needs."""
         return 1 if self.how == "diagonal" else 2
 
-    @property
-    def description(self) -> str:
-        """The kind of fold, as a phrase."""
-        return {"half": "in half", "diagonal": "along a diagonal", "thirds": "in thirds"}[self.how]
+    def task_fault(self, task: ProgramTask) -> tuple[str, str] | None:
+        """Check that the grid of each cloth can be folded."""
+        for item in task.possible_objects(self.thing):
+            if item.cloth is not None and not fold_plans(self.how, *reversed(item.cloth.grid)):
+                grid = " x ".join(map(str, item.cloth.grid))
+                return "how", f"the {item.name} cannot be folded {_NEEDS[self.how]}, not {grid}"
+        return None
 
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]

@@ -6,8 +6,8 @@ import itertools
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from .goal import Clause
-from .predicate import Predicate
+from .core.config.goals.goal import Clause
+from .core.config.goals.predicate import Predicate
 
 PredicateKeyPath = tuple[str | int, ...]
 WhyPredicateImpossible = Callable[[Predicate], str | None]
