@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from tests.datasets.checks.sample import CAMERA, FRAMES, SampleDataset, black, picture
-from yamsim_cli.core.dataset.checks.motion import ArmData, ArmLimits, angles_by_camera, read_timestamps
+from yamsim_cli.core.dataset.checks.context import ArmLimits
 from yamsim_cli.core.errors import DatasetError
+from yamsim_cli.datasets.checks.motion import ArmData, angles_by_camera, read_timestamps
 
 PLAIN = ("dataset.plain", "", "")
 FRAME = "lowdim/000002.pkl"

@@ -9,19 +9,6 @@ import numpy as np
 
 from yamsim_cli.core.dataset.checks.context import CheckContext, EpisodeDirectory
 from yamsim_cli.core.dataset.checks.lowdim import LowdimChecks, recorded_specs
-from yamsim_cli.core.dataset.checks.motion import (
-    TIMESTAMPS_FILE,
-    angles_by_camera,
-    check_fingers,
-    check_intrinsics,
-    check_limits,
-    check_objects_in_view,
-    check_pose,
-    check_speeds,
-    check_times,
-    read_timestamps,
-    split_by_arm,
-)
 from yamsim_cli.core.dataset.checks.problem import ProblemCollector
 from yamsim_cli.core.dataset.dataset_paths import EPISODE_FILE, lowdim_path
 from yamsim_cli.core.dataset.imported_records import RealEpisodeRecord
@@ -42,6 +29,19 @@ from .episode_facts import (
 )
 from .episode_files import check_missing_files, list_files, read_file
 from .images import CameraChecks, TruthChecks, check_frozen_images
+from .motion import (
+    TIMESTAMPS_FILE,
+    angles_by_camera,
+    check_fingers,
+    check_intrinsics,
+    check_limits,
+    check_objects_in_view,
+    check_pose,
+    check_speeds,
+    check_times,
+    read_timestamps,
+    split_by_arm,
+)
 
 if TYPE_CHECKING:
     from yamsim_cli.core.images.jpeg import JpegReader

@@ -14,10 +14,10 @@ from ...config.rig import RigConfig
 from ...errors import DatasetError
 from ...files.resources import Locations
 from ...geometry.se3 import Array, pose
+from ...robots.models import JointLimits
 from ...robots.robot import widest_joint_limits
 from ..dataset_paths import CONFIG_FILE, EPISODE_FILE, episode_directories, episode_name
 from ..imported_records import is_imported_dataset, read_dataset_config, read_imported_config
-from .motion import ArmLimits
 from .problem import ProblemCollector
 
 _ASSUMED_RECORD_CONFIG = (
@@ -27,6 +27,22 @@ _ASSUMED_RECORD_CONFIG = (
 _OBJECT, _TARGET = "banana", "plate"
 _DEFAULT_SUCCESS_RADIUS = 0.05
 _DEFAULT_MAX_HEIGHT = 0.10
+
+
+@dataclass(frozen=True)
+class ArmLimits:
+    """Limits of an arm.
+
+    Attributes:
+        joints: limits of the joints, from the base to the flange.
+        drives: number of elements of this arm in a frame's `joints`: its joints, and its finger opening if it has
+            fingers.
+        fingers: limits of one finger, m; None if unknown.
+    """
+
+    joints: tuple[JointLimits, ...]
+    drives: int
+    fingers: tuple[float, float] | None
 
 
 @dataclass(frozen=True)

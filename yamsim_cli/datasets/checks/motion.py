@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from ...geometry.camera import project_points
-from ...geometry.se3 import Array, invert_pose
-from ...robots.models import JointLimits
-from .problem import ProblemCollector
+from yamsim_cli.core.dataset.checks.context import ArmLimits
+from yamsim_cli.core.dataset.checks.problem import ProblemCollector
+from yamsim_cli.core.geometry.camera import project_points
+from yamsim_cli.core.geometry.se3 import Array, invert_pose
+from yamsim_cli.core.robots.models import JointLimits
 
 TIMESTAMPS_FILE = "timestamps.npy"  # file of capture times in `rgb/<camera>/` of converted real recordings
 # Start of an `.npy` file, version 1.0, with a one-dimensional array of 64-bit integers. Source: numpy.lib.format.
@@ -63,22 +64,6 @@ def check_times(
             value, valid = f"{step * 1000:.1f} ms after the frame before", f"{period * 1000:.1f} ms"
             problems.add("time.spacing", name(k), value, valid, about="time")
     return period
-
-
-@dataclass(frozen=True)
-class ArmLimits:
-    """Limits of an arm.
-
-    Attributes:
-        joints: limits of the joints, from the base to the flange.
-        drives: number of elements of this arm in a frame's `joints`: its joints, and its finger opening if it has
-            fingers.
-        fingers: limits of one finger, m; None if unknown.
-    """
-
-    joints: tuple[JointLimits, ...]
-    drives: int
-    fingers: tuple[float, float] | None
 
 
 @dataclass(frozen=True)
