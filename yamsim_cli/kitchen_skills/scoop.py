@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -28,7 +27,6 @@ from .held_pieces import LoosePieces, fault_of_pieces, fault_of_shape
 from .scoop_strokes import (
     ScoopTool,
     half_length,
-    is_free_line,
     is_free_step,
     pieces_on_spoon,
     plan_knots,
@@ -63,7 +61,8 @@ _PASSED = 1.6
 _LEAST_GRAMS = 40.0  # g, least mass for which a cup's stroke is planned: shorter strokes brought nothing
 _FULL_SHARE = 0.7  # share of the tolerance by which a tool may hold too much and still tilt by large steps
 _MAX_WAITS = 2  # actions in which the tool waits at its largest tilt, for pieces that slide slowly
-_WAY_SHARES = ((0.33, 0.67), (0.25, 0.5, 0.75))  # of a way, at which the tool's pose is set, in the order tried
+# Shares of a way at which the tool's pose is set: thirds, and for an empty cup the middle.
+_WAY_SHARES, _EMPTY_WAY_SHARES = (0.33, 0.67), (0.5,)
 # m, over the higher end of a way, in the order tried: a search instead takes 7 to 10 actions, and this way 2 to 4
 _WAY_RISES = (0.0, 0.04, 0.08)
 _MAX_SCOOPS = 14  # scoops in all: more than fit in the benchmark's 120 actions, of which one takes 8 or more
@@ -318,18 +317,15 @@ class _Job:
     def travel(self, joints: Array) -> Iterator[MotionSegment]:
         """Yield the motions that bring the tool to other joints (dof,).
 
-        An empty tool moves straight there. Else it turns evenly on the way, or goes around obstacles in any
-        orientation.
+        It turns evenly on the way, or goes around obstacles in any orientation.
         """
         context, hand = self.context, self.hand
         held = hand.held_object
         assert held is not None
         load = AttachedObject(self.tool_name, held.T_thing_in_pinch)
-        if not self.carried() and is_free_line(context, hand, hand.opening, load, hand.joints, joints):
-            yield from self.follow(joints[None])
-            return
         first, last = (hand.pinch_pose(at) @ held.T_thing_in_pinch for at in (hand.joints, joints))
-        for shares, over in itertools.product(_WAY_SHARES, _WAY_RISES):
+        shares = _WAY_SHARES if self.tool.is_spoon or self.carried() else _EMPTY_WAY_SHARES
+        for over in _WAY_RISES:
             poses = _way_poses(first, last, shares, over)
             rows = plan_knots(context, hand, hand.opening, load, poses, hand.joints)
             if len(rows) == len(poses) and all(

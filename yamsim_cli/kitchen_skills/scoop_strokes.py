@@ -24,7 +24,6 @@ from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, 
 from .tilting import HeldSource, Tilt, grasps_from_side, height_of, lip_height, opening_radius
 
 _MAX_STEP = 1.5  # rad, of a joint between two poses of a stroke or of a way; more is another posture
-_CHECK_STEP = 0.1  # rad, of a joint between two checks of a line: 60 mm at an arm's length
 _CHECKS = (0.5, 1.0)  # shares of the way between two poses at which contacts are checked
 
 # Poses of a stroke: distance of the tip from the dish's far wall along the heading, m; its height over the dish's
@@ -215,15 +214,6 @@ def is_free_step(
     if np.abs(end - start).max() > _MAX_STEP:
         return False
     return not any(context.find_contact(hand, start + share * (end - start), opening, load) for share in _CHECKS)
-
-
-def is_free_line(
-    context: PlanningContext, hand: Hand, opening: float, load: AttachedObject, start: Array, end: Array
-) -> bool:
-    """Whether a hand can move a held tool straight from joints to any others (dof,) without contact."""
-    count = math.ceil(float(np.abs(end - start).max()) / _CHECK_STEP)
-    shares = (k / count for k in range(1, count + 1))
-    return not any(context.find_contact(hand, start + share * (end - start), opening, load) for share in shares)
 
 
 def plan_release(
