@@ -48,7 +48,9 @@ _GRID_STEP = 0.02  # m, largest step between places in a compartment
 _HEIGHT_STEP = 0.001  # m; a place that is lower by this is better
 _FREE_DISTANCE = 0.003  # m from all other objects; a free place is preferred
 _MAX_PLACES = 12  # free places for each orientation, and occupied places
-_RELEASE_SHARES = (1.0, 0.7, 0.4)  # of the usual additional opening of each finger, in the order tried
+# Of the usual additional opening of each finger, in the order tried. A finger that opened against a wall lifted the
+# tray when the hand rose, and with a share of 0.25 a fork stayed between the fingers.
+_RELEASE_SHARES = (1.0, 0.7, 0.4)
 _RELEASE_DISTANCE = 0.001  # m, least distance of opened fingers from walls and other objects
 _DROP_HEIGHT = 0.010  # m, height of release where fingers would touch the tray; no other value was tried
 _TABLE_GRID_STEP = 0.04  # m, between places on the table
@@ -303,10 +305,10 @@ class Slide(Skill):
                 yield from park_free_hands(context, hand)
                 yield from _slide_motions(context, hand, press, shift)
                 moved = float((context.world.pose(thing)[:2, 3] - before) @ shift) / abs(distance)
-                if is_on_side(context.world, thing) if on_side else moved < _MIN_SLID_DISTANCE:
-                    raise SkillFailedError(
-                        FailureCause.OFF_TARGET, f"the {thing} did not {'fall over' if on_side else 'slide'}"
-                    )
+                if on_side and is_on_side(context.world, thing):
+                    raise SkillFailedError(FailureCause.OFF_TARGET, f"the {thing} did not fall over")
+                if not on_side and moved < _MIN_SLID_DISTANCE:
+                    raise SkillFailedError(FailureCause.OFF_TARGET, f"the {thing} did not slide")
                 return
         raise SkillFailedError(FailureCause.UNREACHABLE, f"no arm reaches a place where it could press on the {thing}")
 
@@ -366,11 +368,13 @@ def _press_points(context: PlanningContext, thing: str, away: Array) -> list[Arr
     """
     bounds = context.world.geom_aabbs(thing)
     (lowest, highest), middle = np.array(context.world.aabb(thing))[:, 2], context.world.pose(thing)[:2, 3]
-    on_side = is_on_side(context.world, thing)
     tops = [np.array((*(first + last)[:2] / 2, last[2])) for first, last in bounds]
-    low = [top for top in tops if (top[2] > highest - _EDGE_HEIGHT if on_side else top[2] < lowest + _FLAT_HEIGHT)]
+    if is_on_side(context.world, thing):
+        tops = [top for top in tops if top[2] > highest - _EDGE_HEIGHT]
+    else:
+        tops = [top for top in tops if top[2] < lowest + _FLAT_HEIGHT]
     found: list[Array] = []
-    for place in sorted(low, key=lambda place: -float((place[:2] - middle) @ away)):
+    for place in sorted(tops, key=lambda place: -float((place[:2] - middle) @ away)):
         if all(np.linalg.norm(place - other) > _PRESS_POINT_SPACING for other in found):
             found.append(place)
     return found
