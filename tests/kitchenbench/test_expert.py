@@ -31,6 +31,7 @@ from inspect_robots.rollout import derive_seed
 from kitchenbench import tasks
 from kitchenbench.policies import NoopKitchenPolicy
 from kitchenbench.sim import build_blueprint
+from kitchenbench.sim.blueprint import SceneObject
 
 from yamsim_cli.core.attempt_data import FailureCause
 from yamsim_cli.core.config.goals.role_assignment import RoleAssignment
@@ -44,9 +45,11 @@ from yamsim_cli.core.expert.skills.planning_context import (
     PlanningContext,
     SkillFailedError,
 )
+from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_from_vector
 from yamsim_cli.core.scene.start_sampling import footprint_corners, footprint_distance
 from yamsim_cli.core.sim.sim_world import SimWorld
+from yamsim_cli.kitchen_skills.press_level import PressLevel
 from yamsim_cli.kitchen_skills.sorting import (
     PickNarrowObject,
     PlaceInCompartment,
@@ -86,6 +89,39 @@ def test_larger_things_are_stacked_first() -> None:
     order = [placed[0].on, *(skill.thing for skill in placed)]
     assert sorted(order) == sorted(sizes) and [skill.on for skill in placed] == order[:-1]
     assert [sizes[name] for name in order] == sorted(sizes.values(), reverse=True)
+
+
+def test_only_bowls_that_go_into_larger_ones_are_pressed_level() -> None:
+    """Bowls of one size rest on each other's rims."""
+    for name, pressed in (("stack-mixed-sizes", True), ("stack-bowls", False)):
+        program = build_scene_program(build_blueprint(SCENES[name], 0), {}, BASES)
+        placed = [skill.thing for skill in program if isinstance(skill, Place)]
+        assert [skill.thing for skill in program if isinstance(skill, PressLevel)] == (placed if pressed else [])
+
+
+@pytest.mark.parametrize("size_cm", [10.24, 16.0])
+def test_a_bowl_that_goes_into_another_is_grasped_by_its_wall(size_cm: float, locations: Locations) -> None:
+    """A hand could also reach around a bowl of 102 mm, but not in a larger one."""
+    item = SceneObject("bowl_1", "bowl", "stack", 0.0, 0.0, 0.0, size_cm=size_cm)
+    for nests, thin in ((True, True), (False, size_cm > 12)):
+        grasp = object_config_of(item, {}, locations, nests).grasp
+        assert grasp is not None and (grasp.opening < 0.005) == thin
+
+
+@pytest.mark.slow
+def test_four_bowls_of_different_sizes_are_stacked_within_the_limit() -> None:
+    """A bowl that falls askew into a larger one is pressed level, or the next one would slide off."""
+    scene = SCENES["stack-mixed-sizes"]
+    seed = derive_seed(2026, scene.init_seed, 2)
+    realized = build_benchmark_scene(build_blueprint(scene, seed), open_station_session("64x48", images=False))
+    planning = PlanningScene(realized, seed, 10)
+    judge = KitchenJudge(realized, planning.motion)
+    try:
+        names = [item.name for item in realized.blueprint.objects]
+        assert len(names) == 4 and run_expert(planning, judge, 80) <= 80 and judge.evaluate()[0]
+        assert all(planning.context.world.pose(name)[2, 2] > math.cos(math.radians(4)) for name in names[:-1])
+    finally:
+        planning.close()
 
 
 def test_a_stack_stands_where_arms_reach_least_far() -> None:

@@ -68,14 +68,15 @@ def object_config_of(
     """Return the config of a blueprint's object. Raise LookupError if none exists for the asset.
 
     `conditions` of the scene may have `slot_width_cm` of the rack. With `nests`, a cup is grasped just under its rim
-    first.
+    first, and a bowl by its wall only: fingers around it would touch the bowl into which it goes.
     """
     if item.asset not in _OBJECT_CONFIGS:
         raise LookupError(
             f"object {item.name!r}: asset {item.asset!r} is not supported; valid: {', '.join(_OBJECT_CONFIGS)}"
         )
     base = load_config(ObjectConfig, "objects", _OBJECT_CONFIGS[item.asset], locations).with_name(item.name)
-    made = with_shape(base, _scaled_shape(item, shape_data(base), conditions))
+    shape = _scaled_shape(item, shape_data(base), conditions)
+    made = with_shape(base, shape, by_wall=item.asset == "bowl" and nests)
     return _grasped_under_rim(made) if item.asset == "cup" and nests else made
 
 
@@ -144,12 +145,12 @@ def shape_data(item: ObjectConfig) -> dict[str, Any]:
     return item.shape.model_dump(mode="json", exclude_none=True)
 
 
-def with_shape(item: ObjectConfig, shape: Mapping[str, Any]) -> ObjectConfig:
-    """Return an object of the same name that is made from other sizes."""
+def with_shape(item: ObjectConfig, shape: Mapping[str, Any], *, by_wall: bool = False) -> ObjectConfig:
+    """Return an object of the same name that is made from other sizes; `by_wall` as in `object_from_shape`."""
     data = {"name": item.name, "shape": dict(shape)}
     checked = ObjectConfig.model_validate({**item.model_dump(mode="json", exclude_none=True), **data})
     assert checked.shape is not None
-    return ObjectConfig.model_validate({**data, **object_from_shape(item.name, checked.shape)})
+    return ObjectConfig.model_validate({**data, **object_from_shape(item.name, checked.shape, by_wall=by_wall)})
 
 
 def _scaled_sizes(shape: Mapping[str, Any], factor: float) -> dict[str, Any]:

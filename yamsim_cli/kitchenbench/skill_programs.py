@@ -18,6 +18,7 @@ from ..core.geometry.se3 import Array
 from ..kitchen_skills.fold_small import FoldSmall
 from ..kitchen_skills.open_lid import OpenLid
 from ..kitchen_skills.pour import Pour
+from ..kitchen_skills.press_level import PressLevel
 from ..kitchen_skills.scoop import Scoop
 from ..kitchen_skills.sorting import Sort
 from .asset_configs import CRUMPLE_CONDITION, is_folded_in_thirds
@@ -150,6 +151,9 @@ def _stack_program(blueprint: SceneBlueprint, names: Sequence[str], bases: Seque
     skills: list[Skill] = []
     for name in others:
         skills += _pick_and_place(name, Place(thing=name, on=below, drop=_STACK_DROP))
+        if _width_cm(items[name]) < _width_cm(items[below]):
+            # It falls deep into the one below, and may lie askew there.
+            skills.append(PressLevel(thing=name))
         below = name
     return skills
 

@@ -259,5 +259,12 @@ def test_skills_of_other_packages_are_found_by_their_entry_points(monkeypatch: p
 
 
 def test_yamsims_own_entry_points_are_found() -> None:
-    assert set(program.skill_names()) - set(program.SKILLS) == {"fold_small", "open_lid", "pour", "scoop", "sort"}
+    assert set(program.skill_names()) - set(program.SKILLS) == {
+        "fold_small",
+        "open_lid",
+        "pour",
+        "press_level",
+        "scoop",
+        "sort",
+    }
     assert all(issubclass(program.skill_class(name), Skill) for name in program.skill_names())

@@ -78,9 +78,14 @@ def _scaled_value(key: str, value: Any, factor: float) -> Any:
     return [each * factor**power for each in value] if isinstance(value, list) else value * factor**power
 
 
-def object_from_shape(name: str, shape: Shape) -> dict[str, Any]:
-    """Return the keys of an object's config that follow from a shape: meshes, inertia, contact, collision and grasp."""
+def object_from_shape(name: str, shape: Shape, *, by_wall: bool = False) -> dict[str, Any]:
+    """Return the keys of an object's config that follow from a shape: meshes, inertia, contact, collision and grasp.
+
+    With `by_wall`, only grasps of a wall count, with one finger inside.
+    """
     form = shape.generated_shape()
+    if by_wall:
+        form = replace(form, grasps=tuple(hold for hold in form.grasps if hold.tilt_deg is not None))
     mass, centre, inertia = _mass_properties(shape, form)
     moments, axes = np.linalg.eigh(inertia)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
