@@ -50,10 +50,10 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
     roles = task.typical_roles
     arms = len(sides) if sides is not None else 2 if task.arms == "all" else 1
     held: set[str] = set()
-    ended: str | None = None
+    reason_against_more_steps: str | None = None
     for path, skill in parse_steps(task.expert, roles, ("expert",), tuple(task.regions)):
-        if ended is not None:
-            raise ConflictError(ended, path)
+        if reason_against_more_steps is not None:
+            raise ConflictError(reason_against_more_steps, path)
         for argument, role in skill.roles():
             task.check_argument(skill, argument, role, (*path, *argument.split(".")))
         thing = roles.object_of(skill.roles()[0][1])
@@ -78,7 +78,7 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
             named = dict(skill.roles()).get(argument)
             objects = () if named is None else (("things", task.role_of(named), "of"),)
             raise ConflictError(reason, (*path, argument), *objects)
-        ended = skill.reason_to_be_last(task)
+        reason_against_more_steps = skill.reason_to_be_last(task)
     if (found := find_contradiction(task.goal)) is not None:
         raise ConflictError(found[1], ("goal", *found[0]))
     for path, predicate in task.goal.predicates():

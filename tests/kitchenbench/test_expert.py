@@ -103,8 +103,8 @@ def test_only_bowls_that_go_into_larger_ones_are_pressed_level() -> None:
 def test_a_bowl_that_goes_into_another_is_grasped_by_its_wall(size_cm: float, locations: Locations) -> None:
     """A hand could also reach around a bowl of 102 mm, but not in a larger one."""
     item = SceneObject("bowl_1", "bowl", "stack", 0.0, 0.0, 0.0, size_cm=size_cm)
-    for nests, thin in ((True, True), (False, size_cm > 12)):
-        grasp = object_config_of(item, {}, locations, nests).grasp
+    for is_stacked, thin in ((True, True), (False, size_cm > 12)):
+        grasp = object_config_of(item, {}, locations, is_stacked=is_stacked).grasp
         assert grasp is not None and (grasp.opening < 0.005) == thin
 
 

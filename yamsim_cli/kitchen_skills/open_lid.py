@@ -23,7 +23,7 @@ from ..core.expert.skills.planning_context import FingerTarget, MotionSegment, P
 from ..core.expert.skills.skill import Skill
 from ..core.geometry.se3 import Array, pose, rotation_from_vector, rotation_vector, rotation_z
 
-_PULLED_OFF = "slide"  # type of the joint of a lid that is pulled off
+_PULLED_LID_JOINT = "slide"  # type of the joint of a lid that is pulled off
 _FORCE = 50.0  # N, asked of each finger. Source: I2RT's SDK limits grippers to 50 N per finger
 _APPROACH = 0.04  # m, length of the straight approach to a handle
 _CLEARANCE = 0.008  # m, additional opening of each finger before closing and after release
@@ -87,7 +87,7 @@ class OpenLid(Skill):
     def reason_to_be_last(self, task: ProgramTask) -> str | None:
         """Return that no hand is free after a pull, if the task has a lid that is pulled off."""
         for item in task.possible_objects(self.thing):
-            if any(link.name == self.joint and link.joint.type == _PULLED_OFF for link in item.links):
+            if any(link.name == self.joint and link.joint.type == _PULLED_LID_JOINT for link in item.links):
                 return (
                     f"no hand is free after `open_lid`: the hands hold the {item.name} and its lid, which would fall "
                     "back if let go; make `open_lid` the last step"
@@ -114,7 +114,7 @@ class OpenLid(Skill):
         else:
             yield from self._pull(context, thing, grip, steady)
         opened = context.world.joint_opening(thing, self.joint)
-        if opened >= self.to and link.joint.type == _PULLED_OFF:
+        if opened >= self.to and link.joint.type == _PULLED_LID_JOINT:
             # A lid that is let go would fall back onto its container.
             yield context.wait_segment(round(_HOLD_SECONDS / context.tick))
             return

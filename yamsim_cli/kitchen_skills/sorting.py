@@ -48,8 +48,9 @@ _GRID_STEP = 0.02  # m, largest step between places in a compartment
 _HEIGHT_STEP = 0.001  # m; a place that is lower by this is better
 _FREE_DISTANCE = 0.003  # m from all other objects; a free place is preferred
 _MAX_PLACES = 12  # free places for each orientation, and occupied places
-# Of the usual additional opening of each finger, in the order tried. A finger that opened against a wall lifted the
-# tray when the hand rose, and with a share of 0.25 a fork stayed between the fingers.
+# Shares of `release_clearance` by which each finger opens, in the order tried; the last one also if a finger touches
+# something. A finger that opened against a wall lifted the tray when the hand rose, and with 0.25 a fork stayed between
+# the fingers.
 _RELEASE_SHARES = (1.0, 0.7, 0.4)
 _RELEASE_DISTANCE = 0.001  # m, least distance of opened fingers from walls and other objects
 _DROP_HEIGHT = 0.010  # m, height of release where fingers would touch the tray; no other value was tried
@@ -63,11 +64,14 @@ _UPRIGHT_COSINE = math.cos(math.radians(3.0))  # of the tilt; an object with a l
 _TILTED_COSINE = 0.6  # of the tilt; an object with a smaller cosine stays on its side or head
 
 _MAX_FREE_DISTANCE = 0.040  # m, largest measured free distance on each side before a slide
+_MIN_HORIZONTAL = 0.5  # cosine of the longest side's angle above horizontal; with less, an object stands on its end
 _MIN_SLIDE = 0.005  # m, shorter slides are not tried
 _MIN_SLID_DISTANCE = 0.002  # m; an object that moved less has not slid
 _FLAT_HEIGHT = 0.006  # m, pressed top over the object's lowest point; a higher part would roll
-_EDGE_HEIGHT = 0.006  # m, under the top of an object on its side, of parts whose edge is pressed
-_TOPPLING_DISTANCE = 0.025  # m, path of the pressing hand that makes an object on its side fall over
+_EDGE_HEIGHT = 0.006  # m, under the top of an object on its side, of parts whose edge is pressed; no other was tried
+# m, path of the pressing hand that makes an object on its side fall over: its upper edge passes over the lower one.
+# Cutlery is up to 31 mm wide.
+_TOPPLING_DISTANCE = 0.025
 _PRESS_POINT_SPACING = 0.012  # m, between places to press
 _APPROACH_HEIGHT = 0.07  # m over the pressing pose, where the descent starts
 _CHECK_HEIGHT = 0.012  # m over the pressing pose, where contacts with other objects are checked
@@ -145,9 +149,14 @@ class PlaceInCompartment(PlaceSkill):
             clearance
             for clearance in clearances
             if not context.find_contact(
-                hand, hand.joints, hand.opening + clearance, grasped=thing, finger_clearance=_RELEASE_DISTANCE
+                hand,
+                hand.joints,
+                min(hand.opening + clearance, hand.max_opening),
+                grasped=thing,
+                finger_clearance=_RELEASE_DISTANCE,
             )
         )
+        # The object comes to rest during the retreat. A wait would take one of the benchmark's 200 actions.
         yield from release_and_retreat(context, hand, next(free, clearances[-1]), _RELEASE_DISTANCE)
 
     def _hover_joints(self, hand: Hand, T_pinch: Array) -> Array | None:
@@ -313,7 +322,7 @@ class Slide(Skill):
         raise SkillFailedError(FailureCause.UNREACHABLE, f"no arm reaches a place where it could press on the {thing}")
 
     def _press_poses(self, context: PlanningContext, hand: Hand, thing: str, shift: Array) -> Iterator[_PressPose]:
-        """Yield poses with which a hand slides an object without touching another one."""
+        """Yield poses with which a hand slides an object; at the start and the end, it touches no other one."""
         away = shift / np.linalg.norm(shift)
         down = np.array((0.0, 0.0, -1.0))
         upright = np.column_stack([np.cross((*away, 0.0), down), (*away, 0.0), down])
@@ -354,9 +363,14 @@ def _slide_motions(context: PlanningContext, hand: Hand, press: _PressPose, shif
 
 
 def _slide_direction(context: PlanningContext, thing: str) -> Array:
-    """Return the horizontal direction (2,) in `world` across an object's longest side."""
+    """Return the horizontal direction (2,) in `world` across an object's longest side.
+
+    Raise SkillFailedError if the object stands on its end.
+    """
     low, high = context.world.local_box(thing)
     longest = context.world.pose(thing)[:2, int(np.argmax(high - low))]
+    if np.linalg.norm(longest) < _MIN_HORIZONTAL:
+        raise SkillFailedError(FailureCause.UNREACHABLE, f"the {thing} stands on its end")
     across: Array = np.array((-longest[1], longest[0])) / np.linalg.norm(longest)
     return across
 

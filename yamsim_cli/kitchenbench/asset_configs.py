@@ -63,12 +63,16 @@ _FOLD_IN_THIRDS_POINTS = 12
 
 
 def object_config_of(
-    item: SceneObject, conditions: Mapping[str, Any], locations: Locations, nests: bool = True
+    item: SceneObject,
+    conditions: Mapping[str, Any],
+    locations: Locations,
+    nests: bool = True,
+    is_stacked: bool = False,
 ) -> ObjectConfig:
     """Return the config of a blueprint's object. Raise LookupError if none exists for the asset.
 
     `conditions` of the scene may have `slot_width_cm` of the rack. With `nests`, a cup is grasped just under its rim
-    first, and a bowl by its wall only: fingers around it would touch the bowl into which it goes.
+    first. A bowl that `is_stacked` is grasped by its wall: fingers around it would touch the bowl into which it goes.
     """
     if item.asset not in _OBJECT_CONFIGS:
         raise LookupError(
@@ -76,7 +80,7 @@ def object_config_of(
         )
     base = load_config(ObjectConfig, "objects", _OBJECT_CONFIGS[item.asset], locations).with_name(item.name)
     shape = _scaled_shape(item, shape_data(base), conditions)
-    made = with_shape(base, shape, by_wall=item.asset == "bowl" and nests)
+    made = with_shape(base, shape, by_wall=item.asset == "bowl" and is_stacked)
     return _grasped_under_rim(made) if item.asset == "cup" and nests else made
 
 

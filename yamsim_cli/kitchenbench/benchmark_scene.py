@@ -181,7 +181,10 @@ def _config_of(item: SceneObject, blueprint: SceneBlueprint, base: Session) -> O
         return container_config_of(item, blueprint, base.locations)
     if blueprint.target_kind in _PASTA_KINDS:
         return pasta_config_of(item, blueprint, base.locations)
-    return object_config_of(item, blueprint.conditions, base.locations, blueprint.target_kind != GoalKind.HANDOFF)
+    kind = blueprint.target_kind
+    return object_config_of(
+        item, blueprint.conditions, base.locations, nests=kind != GoalKind.HANDOFF, is_stacked=kind == GoalKind.STACK
+    )
 
 
 def _horizontal_position(scene: CompiledScene, qpos: Array, name: str) -> Array:

@@ -151,8 +151,8 @@ def _stack_program(blueprint: SceneBlueprint, names: Sequence[str], bases: Seque
     skills: list[Skill] = []
     for name in others:
         skills += _pick_and_place(name, Place(thing=name, on=below, drop=_STACK_DROP))
-        if _width_cm(items[name]) < _width_cm(items[below]):
-            # It falls deep into the one below, and may lie askew there.
+        if items[name].asset == "bowl" and _width_cm(items[name]) < _width_cm(items[below]):
+            # A bowl falls deep into a larger one, and may lie askew there.
             skills.append(PressLevel(thing=name))
         below = name
     return skills

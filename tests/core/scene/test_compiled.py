@@ -10,7 +10,7 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
-from yamsim_cli.core.scene.compiled import solver_failed
+from yamsim_cli.core.scene.compiled import newton_failed
 
 
 @pytest.mark.parametrize("failures", [1, 2])
@@ -54,8 +54,8 @@ def test_only_newtons_method_can_fail(config: RecordConfig, locations: Locations
     data = mujoco.MjData(scene.model)
     scene.reset(data, scene.model.qpos0)
     mujoco.mj_step(scene.model, data)
-    assert not solver_failed(scene.model, data)
+    assert not newton_failed(scene.model, data)
     data.solver.gradient[data.solver_niter[0] - 1] = 67.0
-    assert solver_failed(scene.model, data)
+    assert newton_failed(scene.model, data)
     scene.model.opt.solver = mujoco.mjtSolver.mjSOL_CG
-    assert not solver_failed(scene.model, data)
+    assert not newton_failed(scene.model, data)

@@ -81,11 +81,12 @@ def _scaled_value(key: str, value: Any, factor: float) -> Any:
 def object_from_shape(name: str, shape: Shape, *, by_wall: bool = False) -> dict[str, Any]:
     """Return the keys of an object's config that follow from a shape: meshes, inertia, contact, collision and grasp.
 
-    With `by_wall`, only grasps of a wall count, with one finger inside.
+    With `by_wall`, the config has only grasps of the wall: one finger inside, and one outside.
     """
     form = shape.generated_shape()
     if by_wall:
         form = replace(form, grasps=tuple(hold for hold in form.grasps if hold.tilt_deg is not None))
+        assert form.grasps, "a shape that is grasped by its wall has grasps of it"
     mass, centre, inertia = _mass_properties(shape, form)
     moments, axes = np.linalg.eigh(inertia)
     axes[:, 2] *= np.sign(np.linalg.det(axes))

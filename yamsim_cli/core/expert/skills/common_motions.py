@@ -35,7 +35,7 @@ def release_and_retreat(
 ) -> Iterator[MotionSegment]:
     """Open each finger by a clearance (m), and move the hand back along its axis or up.
 
-    `finger_distance` is the least distance of the fingers from other objects, m; None for the arm's distance.
+    `finger_distance` is the least distance of the fingers from other objects, m; None: as for the arm.
     """
     opening = min(hand.opening + clearance, hand.max_opening)
     hand.weld_commanded = False

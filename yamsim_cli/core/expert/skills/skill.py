@@ -29,7 +29,7 @@ class Skill(Config):
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = None
     LEAVES_OBJECT_HELD: ClassVar[bool | None] = None
     HANDS: ClassVar[int] = 1  # that the skill needs
-    ONE_HAND_ALTERNATIVE: ClassVar[str] = ""  # arguments with which one hand suffices; part of an error message
+    ONE_HAND_ALTERNATIVE: ClassVar[str] = ""  # arguments that make one hand enough, for an error message
     HANDS_OVER: ClassVar[bool] = False  # whether the object goes from one hand to the other
     # Whether the skill manipulates cloth, else rigid objects; roles in `ROLES_OF_ANY_MATERIAL` may be either.
     HANDLES_CLOTH: ClassVar[bool] = False
