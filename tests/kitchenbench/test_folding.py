@@ -19,10 +19,10 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.cloth import grid_edges
 from yamsim_cli.kitchen_skills.fold_small import FoldSmall, bounding_box_area, possible_folds
 from yamsim_cli.kitchenbench.benchmark_scene import BenchmarkScene, build_benchmark_scene, open_station_session
-from yamsim_cli.kitchenbench.policy import PlanningScene
+from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
 from yamsim_cli.kitchenbench.skill_programs import build_scene_program
-from yamsim_cli.kitchenbench.success_judges import KitchenWorld
+from yamsim_cli.kitchenbench.success_judges import KitchenJudge, KitchenWorld
 
 SCENES = {scene.id: scene for scene in tasks.TASK_FACTORIES["fold_cloth"]().scenes}
 
@@ -129,6 +129,20 @@ class _Square:
     def aabb(self, name: str) -> tuple[Array, Array]:
         """A square of that side."""
         return np.zeros(3), np.array((self._side, self._side, 0.005))
+
+
+@pytest.mark.slow
+def test_a_hand_leaves_a_corner_that_it_folded_without_lifting_it() -> None:
+    """The napkin lies turned by 46 degrees, so that one corner is folded over."""
+    scene = SCENES["fold-cloth-dish-towel"]
+    seed = derive_seed(2026, scene.init_seed, 0)
+    built = build_benchmark_scene(build_blueprint(scene, seed), open_station_session("64x48", images=False))
+    planning = PlanningScene(built, seed, 10)
+    try:
+        judge = KitchenJudge(built, planning.motion)
+        assert run_expert(planning, judge, 120) < 80 and judge.evaluate()[0]
+    finally:
+        planning.close()
 
 
 @pytest.mark.long

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
@@ -50,6 +50,7 @@ _FLAT_LAYERS = 8.0  # layer thicknesses, largest height of flat cloth
 _FLAT_DISPLACEMENT = 0.2  # share of the side, largest distance of a point from its place in flat cloth
 _FIRST_PULLS, _LATER_PULLS = 4, 2  # flattening pulls, at first and after a slide
 
+_MIN_LATERAL = 0.5  # least length of a direction out from under a cloth; it is near 1 for sides and near 0 for corners
 _LAYER_HEIGHT = 0.005  # m, that counts as one layer
 _CORNER_TOLERANCE = (
     0.006  # m; of the points that are hardly farther from a corner than the nearest, the uppermost is grasped
@@ -122,6 +123,7 @@ class FoldSmall(FoldedSize, Skill):
             if fold is None or grasps is None:
                 break
             try:
+                grasps = [_with_forward_retreat(grasp) for grasp in grasps]
                 yield from carry_points(context, thing, grasps, speed=_SLOW_SPEED if folds and fold.layers else _SPEED)
             except SkillFailedError:
                 missed.append(fold.grasped_points)
@@ -162,6 +164,15 @@ def _first_reachable_fold(
 ) -> tuple[CreaseFold, list[PointGrasp]] | tuple[None, None]:
     tried = ((fold, reachable_grasps(context, thing, fold.point_targets, points)) for fold in folds)
     return next(((fold, grasps) for fold, grasps in tried if grasps), (None, None))
+
+
+def _with_forward_retreat(grasp: PointGrasp) -> PointGrasp:
+    """Return a grasp whose hand leaves a corner that is folded alone by moving forward, out from under it.
+
+    `PointGrasp.lateral` has no length then, and a hand that only rises lifts the cloth.
+    """
+    has_lateral = float(np.linalg.norm(grasp.lateral)) > _MIN_LATERAL
+    return grasp if has_lateral else replace(grasp, lateral=grasp.forward)
 
 
 def _bounding_box_turns(points: Array) -> list[float]:
