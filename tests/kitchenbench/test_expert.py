@@ -6,7 +6,6 @@ import gc
 import math
 import weakref
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 
 import mujoco
@@ -33,6 +32,7 @@ from kitchenbench.policies import NoopKitchenPolicy
 from kitchenbench.sim import build_blueprint
 from kitchenbench.sim.blueprint import SceneObject
 
+from tests.kitchenbench.realizations import judged_planning_scene
 from yamsim_cli.core.attempt_data import FailureCause
 from yamsim_cli.core.config.goals.role_assignment import RoleAssignment
 from yamsim_cli.core.expert.skills.grasp_candidates import GraspCandidate
@@ -64,7 +64,7 @@ from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment
 from yamsim_cli.kitchenbench.policy import PlanningScene, YamsimExpert, is_still, run_expert, segment_actions
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper, commanded_opening, commanded_share, scene_fingers
 from yamsim_cli.kitchenbench.skill_programs import build_scene_program
-from yamsim_cli.kitchenbench.success_judges import KitchenJudge, KitchenWorld
+from yamsim_cli.kitchenbench.success_judges import KitchenWorld
 
 BASES = [np.array((0.0, 0.305)), np.array((0.0, -0.305))]
 SCENES = {scene.id: scene for factory in tasks.TASK_FACTORIES.values() for scene in factory().scenes}
@@ -111,17 +111,10 @@ def test_a_bowl_that_goes_into_another_is_grasped_by_its_wall(size_cm: float, lo
 @pytest.mark.slow
 def test_four_bowls_of_different_sizes_are_stacked_within_the_limit() -> None:
     """A bowl that falls askew into a larger one is pressed level, or the next one would slide off."""
-    scene = SCENES["stack-mixed-sizes"]
-    seed = derive_seed(2026, scene.init_seed, 2)
-    realized = build_benchmark_scene(build_blueprint(scene, seed), open_station_session("64x48", images=False))
-    planning = PlanningScene(realized, seed, 10)
-    judge = KitchenJudge(realized, planning.motion)
-    try:
-        names = [item.name for item in realized.blueprint.objects]
+    with judged_planning_scene(SCENES["stack-mixed-sizes"], 2, root=2026) as (planning, judge):
+        names = [name for name in planning.context.world.object_names if name.startswith("bowl_")]
         assert len(names) == 4 and run_expert(planning, judge, 80) <= 80 and judge.evaluate()[0]
         assert all(planning.context.world.pose(name)[2, 2] > math.cos(math.radians(4)) for name in names[:-1])
-    finally:
-        planning.close()
 
 
 def test_a_stack_stands_where_arms_reach_least_far() -> None:
@@ -271,20 +264,10 @@ def test_a_piece_is_put_down_where_it_can_be_taken_on() -> None:
         planning.close()
 
 
-@contextmanager
-def _overlapping_cutlery(realization: int) -> Iterator[tuple[PlanningScene, KitchenJudge]]:
-    scene = SCENES["sort-cutlery-overlapping"]
-    seed = derive_seed(0, scene.init_seed, realization)
-    realized = build_benchmark_scene(build_blueprint(scene, seed), open_station_session("64x48", images=False))
-    planning = PlanningScene(realized, seed, 10)
-    yield planning, KitchenJudge(realized, planning.motion)
-    planning.close()
-
-
 @pytest.fixture
 def tray_scene() -> Iterator[PlanningScene]:
     """Cutlery in a tray's compartments, a fork beside the left wall."""
-    with _overlapping_cutlery(0) as (planning, _):
+    with judged_planning_scene(SCENES["sort-cutlery-overlapping"]) as (planning, _):
         yield planning
 
 
@@ -328,7 +311,7 @@ def test_what_lies_beside_a_wall_is_slid_away_from_it(tray_scene: PlanningScene)
 
 @pytest.mark.slow
 def test_cutlery_on_its_side_is_made_to_fall_over() -> None:
-    with _overlapping_cutlery(4) as (planning, _):
+    with judged_planning_scene(SCENES["sort-cutlery-overlapping"], 4) as (planning, _):
         world = planning.context.world
         assert is_on_side(world, "cutlery_5")
         cast = RoleAssignment({"cutlery_5": ("cutlery_5",)}, {"cutlery_5": "fork"})
@@ -341,7 +324,7 @@ def test_cutlery_on_its_side_is_made_to_fall_over() -> None:
 @pytest.mark.slow
 def test_fingers_that_open_beside_a_wall_leave_the_tray_where_it_is() -> None:
     """Ten pieces of cutlery lie in the tray and beside it."""
-    with _overlapping_cutlery(0) as (planning, judge):
+    with judged_planning_scene(SCENES["sort-cutlery-overlapping"]) as (planning, judge):
         before = planning.context.world.pose("tray")[:3, 3].copy()
         assert run_expert(planning, judge, 200) < 200 and judge.evaluate()[0]
         np.testing.assert_allclose(planning.context.world.pose("tray")[:3, 3], before, atol=0.003)

@@ -15,6 +15,7 @@ from inspect_robots.rollout import derive_seed
 from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint, make_success_checker
 
+from tests.kitchenbench.realizations import judged_planning_scene
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.cloth import grid_edges
 from yamsim_cli.kitchen_skills.fold_small import FoldSmall, bounding_box_area, possible_folds
@@ -22,7 +23,7 @@ from yamsim_cli.kitchenbench.benchmark_scene import BenchmarkScene, build_benchm
 from yamsim_cli.kitchenbench.policy import PlanningScene, run_expert
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
 from yamsim_cli.kitchenbench.skill_programs import build_scene_program
-from yamsim_cli.kitchenbench.success_judges import KitchenJudge, KitchenWorld
+from yamsim_cli.kitchenbench.success_judges import KitchenWorld
 
 SCENES = {scene.id: scene for scene in tasks.TASK_FACTORIES["fold_cloth"]().scenes}
 
@@ -134,15 +135,8 @@ class _Square:
 @pytest.mark.slow
 def test_a_hand_leaves_a_corner_that_it_folded_without_lifting_it() -> None:
     """The napkin lies turned by 46 degrees, so that one corner is folded over."""
-    scene = SCENES["fold-cloth-dish-towel"]
-    seed = derive_seed(2026, scene.init_seed, 0)
-    built = build_benchmark_scene(build_blueprint(scene, seed), open_station_session("64x48", images=False))
-    planning = PlanningScene(built, seed, 10)
-    try:
-        judge = KitchenJudge(built, planning.motion)
+    with judged_planning_scene(SCENES["fold-cloth-dish-towel"], root=2026) as (planning, judge):
         assert run_expert(planning, judge, 120) < 80 and judge.evaluate()[0]
-    finally:
-        planning.close()
 
 
 @pytest.mark.long

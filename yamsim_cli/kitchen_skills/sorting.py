@@ -20,7 +20,6 @@ from ..core.config.program_task import ProgramTask
 from ..core.expert.skills.common_motions import (
     open_and_park_hands,
     park_free_hands,
-    plan_held_object_line,
     release_and_retreat,
     rest_segment,
 )
@@ -28,7 +27,7 @@ from ..core.expert.skills.grasp_candidates import is_orientation_plausible
 from ..core.expert.skills.hand import WAYPOINT_TOLERANCE, Hand, HeldObject
 from ..core.expert.skills.handover import Handover
 from ..core.expert.skills.pick import Pick, ReachableGrasp
-from ..core.expert.skills.place import HOVER_HEIGHT, RELEASE_GAP, PlaceSkill, pose_raised_by
+from ..core.expert.skills.place import HOVER_HEIGHT, PlaceSkill, pose_raised_by
 from ..core.expert.skills.planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from ..core.expert.skills.skill import ArmSelector, Skill, find_holding_hand
 from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_z, yaw
@@ -137,13 +136,8 @@ class PlaceInCompartment(PlaceSkill):
                 off = math.hypot(*(np.array(place) - (first + last) / 2))
                 yield off, pose((T @ (*place, 0.0, 1.0))[:3], R)
 
-    def _lower_and_release(
-        self, context: PlanningContext, hand: Hand, thing: str, T_goal: Array
-    ) -> Iterator[MotionSegment]:
-        """Yield the motions that lower the object and release it, with fingers that do not press on the walls."""
-        T_release = pose_raised_by(T_goal, RELEASE_GAP)
-        yield context.make_segment({hand: plan_held_object_line(context, hand, T_release, self.LOWERING_SPEED)})
-        yield rest_segment(context)
+    def _release(self, context: PlanningContext, hand: Hand, thing: str) -> Iterator[MotionSegment]:
+        """Yield the motions that release the object, with fingers that do not press on the walls."""
         clearances = [share * context.release_clearance(thing) for share in _RELEASE_SHARES]
         free = (
             clearance

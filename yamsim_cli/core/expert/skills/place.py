@@ -24,7 +24,7 @@ from .planning_context import CachedIterable, MotionSegment, PlanningContext, Sk
 from .skill import Skill, require_holding_hand
 
 HOVER_HEIGHT = 0.07  # m, an object comes straight down from this height over its goal
-RELEASE_GAP = 0.002  # m, height of the release over the goal
+_RELEASE_GAP = 0.002  # m, height of the release over the goal
 
 _MAX_GOAL_ERROR = 0.03  # m, an object farther than this from its goal has not been placed
 
@@ -167,9 +167,12 @@ class PlaceSkill(Skill):
         self, context: PlanningContext, hand: Hand, thing: str, T_goal: Array
     ) -> Iterator[MotionSegment]:
         yield context.make_segment(
-            {hand: plan_held_object_line(context, hand, pose_raised_by(T_goal, RELEASE_GAP), self.LOWERING_SPEED)}
+            {hand: plan_held_object_line(context, hand, pose_raised_by(T_goal, _RELEASE_GAP), self.LOWERING_SPEED)}
         )
         yield rest_segment(context)
+        yield from self._release(context, hand, thing)
+
+    def _release(self, context: PlanningContext, hand: Hand, thing: str) -> Iterator[MotionSegment]:
         yield from release_and_retreat(context, hand, context.release_clearance(thing))
         yield rest_segment(context)
 
