@@ -14,15 +14,16 @@ from ..core.attempt_data import FailureCause
 from ..core.config.goals.cloth_predicates import FoldedSize
 from ..core.config.goals.role_assignment import RoleAssignment
 from ..core.expert.skills.cloth.cloth_motions import carry_points
-from ..core.expert.skills.cloth.flatten import flatten_cloth
+from ..core.expert.skills.cloth.flatten import flatten_cloth, is_flat
 from ..core.expert.skills.cloth.point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_at_place
 from ..core.expert.skills.common_motions import open_and_park_hands, unparked_hands
 from ..core.expert.skills.planning_context import MotionSegment, PlanningContext, SkillFailedError
 from ..core.expert.skills.skill import Skill
-from ..core.geometry.cloth_flattening import Point
+from ..core.geometry.cloth_flattening import Point, height_range
 from ..core.geometry.se3 import Array
 from ..core.sim.sim_world import SimWorld
 from .slide_grasps import SLIDE_SPEED, find_slide_grasps
+from .smoothing import bounding_box_area, smooth_folded_cloth
 
 _LIMIT_MARGIN = 0.98  # share of the goal's area that the skill aims at
 _AREA_MARGIN = 0.96  # predicted area as a share of the limit on the points' box, at which a fold suffices
@@ -32,7 +33,6 @@ _MIN_LINE_DISTANCE = 0.008  # m, between lines of points across a crease
 
 _MIN_REDUCTION = 0.06  # share of the area, by a fold
 _MAX_FOLDS = 5  # per run of the skill
-_MAX_CRUMPLED_SLIDES = 2  # of crumpled cloth before the first fold
 _MAX_MISSES = 2  # failed grasps, after each of which other points are grasped
 
 # Cloth is laid beyond its target: several layers since outer ones have a longer path, a single one to stretch wrinkles.
@@ -46,9 +46,11 @@ _SLOW_SPEED = 0.08  # m/s; several layers slip at a higher speed
 _MAX_FOLDED_SHARE = 0.36  # share of the cloth
 _FAR_LIMIT, _NEAR_LIMIT = 0.60, 0.16  # m ahead of the bases, of a pulled cloth's far and near edges
 
-_FLAT_LAYERS = 8.0  # layer thicknesses, largest height of flat cloth
+_FLAT_LAYERS = 5.0  # layer thicknesses, largest height of flat cloth
 _FLAT_DISPLACEMENT = 0.2  # share of the side, largest distance of a point from its place in flat cloth
-_FIRST_PULLS, _LATER_PULLS = 4, 2  # flattening pulls, at first and after a slide
+_MAX_SLID_HEIGHT = 0.045  # m, of a cloth before and after a slide
+_MAX_PULLS, _MAX_SLIDES = 4, 2  # of crumpled cloth before the first fold
+_MAX_SMOOTHINGS = 3  # of a folded cloth that is too high
 
 _MIN_LATERAL = 0.5  # least length of a direction out from under a cloth; it is near 1 for sides and near 0 for corners
 _LAYER_HEIGHT = 0.005  # m, that counts as one layer
@@ -64,6 +66,7 @@ class FoldSmall(FoldedSize, Skill):
         thing: a role that cloth plays.
         area: largest area of the box along the axes of `world`, seen from above, m2.
         share: instead of `area`, the largest area as a share of the box's area at the start of the attempt.
+        height: largest height of the box, m; a cloth that is small enough but higher is pressed down.
         thirds: whether the first third is folded first, and the cloth is then pulled nearer for the last third.
         crumpled: whether the cloth is flattened first, and slid to where hands reach a sufficient fold.
     """
@@ -92,14 +95,17 @@ class FoldSmall(FoldedSize, Skill):
         thing = roles.object_of(self.thing)
         limit = self.largest_area(context.world, thing)
         if self.crumpled:
-            yield from flatten_cloth(context, thing, _FLAT_LAYERS, _FLAT_DISPLACEMENT, _FIRST_PULLS)
-        folds = slides = 0
+            yield from self._spread(context, thing, limit)
+        folds = smoothings = 0
         missed: list[tuple[Point, ...]] = []
         while folds < _MAX_FOLDS:
             points = context.world.cloth_points(thing)
-            before = bounding_box_area(points)
-            if before <= limit:
-                return
+            if bounding_box_area(points) <= (limit if self._is_low(context, thing) else limit / _LIMIT_MARGIN):
+                if smoothings == _MAX_SMOOTHINGS or self._is_low(context, thing):
+                    return
+                yield from smooth_folded_cloth(context, thing, limit / _LIMIT_MARGIN)
+                smoothings += 1
+                continue
             if self.thirds and folds == 1 and (pulled := _pull_nearer_grasps(context, thing)):
                 yield from carry_points(context, thing, pulled, arch=0.0, speed=_SPEED)
                 points = context.world.cloth_points(thing)
@@ -107,19 +113,6 @@ class FoldSmall(FoldedSize, Skill):
                 fold for fold in self._sorted_folds(points, limit, first=not folds) if fold.grasped_points not in missed
             ]
             fold, grasps = _first_reachable_fold(context, thing, points, candidates)
-            if self.crumpled and not folds and slides < _MAX_CRUMPLED_SLIDES and not _is_sufficient(fold, limit):
-                if unparked_hands(context):
-                    # Hands that are still over the cloth block each other.
-                    yield from open_and_park_hands(context)
-                    continue
-                slide = find_slide_grasps(
-                    context, thing, _bounding_box_turns(points), partial(self._is_foldable, context, thing, limit)
-                )
-                if slide is not None:
-                    yield from carry_points(context, thing, slide, arch=0.0, speed=SLIDE_SPEED)
-                    slides += 1
-                    yield from flatten_cloth(context, thing, _FLAT_LAYERS, _FLAT_DISPLACEMENT, _LATER_PULLS)
-                    continue
             if fold is None or grasps is None:
                 break
             try:
@@ -136,6 +129,36 @@ class FoldSmall(FoldedSize, Skill):
             raise SkillFailedError(
                 FailureCause.UNREACHABLE, f"no hands reach points that would make the {thing} smaller"
             )
+
+    def _spread(self, context: PlanningContext, thing: str, limit: float) -> Iterator[MotionSegment]:
+        """Pull and slide a crumpled cloth, until it is flat and hands reach a sufficient fold."""
+        pulls = slides = 0
+        while True:
+            points = context.world.cloth_points(thing)
+            flat = is_flat(context, thing, _FLAT_LAYERS, _FLAT_DISPLACEMENT) or pulls == _MAX_PULLS
+            foldable = self._is_foldable(context, thing, limit, points)
+            if flat and foldable:
+                return
+            if not foldable and slides < _MAX_SLIDES and height_range(points) < _MAX_SLID_HEIGHT:
+                if unparked_hands(context):
+                    # Hands that are still over the cloth block each other.
+                    yield from open_and_park_hands(context)
+                    continue
+                wanted = partial(self._is_foldable, context, thing, limit)
+                slide = find_slide_grasps(context, thing, _bounding_box_turns(points), wanted, _MAX_SLID_HEIGHT)
+                if slide is not None:
+                    yield from carry_points(context, thing, slide, arch=0.0, speed=SLIDE_SPEED)
+                    slides += 1
+                    continue
+            if flat:
+                return
+            yield from flatten_cloth(context, thing, _FLAT_LAYERS, _FLAT_DISPLACEMENT, 1)
+            has_moved = bool(np.any(context.world.cloth_points(thing) != points))
+            pulls = pulls + 1 if has_moved else _MAX_PULLS
+
+    def _is_low(self, context: PlanningContext, thing: str) -> bool:
+        thickness = context.world.cloth_addresses(thing).thickness
+        return height_range(context.world.cloth_points(thing)) + thickness <= self.height
 
     def _sorted_folds(self, points: Array, limit: float, first: bool) -> list[CreaseFold]:
         """Return folds, the best first: by sufficient area, few layers, whole sides, and small area."""
@@ -224,11 +247,6 @@ class CreaseFold:
     def point_targets(self) -> list[PointPlacement]:
         """The grasped points and their targets, for `reachable_grasps`."""
         return [PointPlacement(point, target_at_place(to)) for point, to in self.corners]
-
-
-def bounding_box_area(points: Array) -> float:
-    """Return the area of the box along the axes of `world` around points (..., 3), seen from above, m2."""
-    return float(np.prod(np.ptp(points.reshape(-1, 3)[:, :2], axis=0)))
 
 
 def possible_folds(points: Array, single: bool) -> list[CreaseFold]:

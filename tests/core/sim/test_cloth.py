@@ -23,7 +23,7 @@ from yamsim_cli.core.geometry.cloth_contacts import count_self_intersections
 from yamsim_cli.core.geometry.cloth_folding import outline_area
 from yamsim_cli.core.scene.cloth import grid_edges, grid_triangles
 from yamsim_cli.core.sim import cloth as crumple
-from yamsim_cli.core.sim.cloth import moving_points, simulate_pull
+from yamsim_cli.core.sim.cloth import ClothGraspConstraints, moving_points, simulate_pull
 from yamsim_cli.core.sim.geom_shapes import geom_aabb
 from yamsim_cli.core.sim.sim_world import make_sim_world
 
@@ -99,6 +99,46 @@ def test_a_finger_under_cloth_would_lift_it_and_one_on_it_would_not(tmp_path: Pa
             mujoco.mj_forward(model, data)
             assert (data.contact.flex >= 0).any()
             assert len(world.sides_with_finger_under_cloth("napkin")) == expected
+
+
+@pytest.mark.parametrize("clear", [True, False])
+def test_fingers_that_released_cloth_touch_it_again_when_they_close_or_are_away(tmp_path: Path, clear: bool) -> None:
+    with SimulatorCache(session_of(tmp_path, FOLD)) as simulators:
+        simulator, _, data = started(simulators)
+        scene, model = simulator.scene, simulator.scene.model
+        cloth = scene.cloths["napkin"] = replace(scene.cloths["napkin"], is_released_clear=clear)
+        constraints = ClothGraspConstraints(scene)
+        fingers = scene.arms[0].fingers
+        assert fingers is not None
+        tips = data.site(f"{scene.arms[0].prefix}pinch_site").xpos.copy()
+        opened, closed = data.ctrl.copy(), data.ctrl.copy()
+        opened[fingers.ctrl], closed[fingers.ctrl] = fingers.ctrl_range[1], fingers.ctrl_range[0]
+
+        def are_touching(offset: float) -> bool:
+            """Whether fingers touch the cloth if its points lie at a height over the tips."""
+            data.qpos[cloth.qpos] = [*tips[:2], tips[2] + offset]
+            mujoco.mj_forward(model, data)
+            sheet, geoms = (data.contact.flex >= 0).any(axis=1), data.contact.geom.max(axis=1)
+            names = {model.body(model.geom_bodyid[geom]).name for geom in geoms[sheet] if geom >= 0}
+            return any("finger" in name for name in names)
+
+        def release() -> None:
+            data.eq_active[cloth.constraints[0, 0]] = True
+            assert constraints.update_grasps(data, opened) == [False, False]
+
+        assert are_touching(0.0)
+        for end in (closed, opened):
+            release()
+            assert are_touching(0.0) != clear
+            constraints.update_grasps(data, opened)
+            assert are_touching(0.0) != clear  # still in the same place
+            if end is opened:
+                assert not are_touching(0.3)
+            constraints.update_grasps(data, end)
+            assert are_touching(0.0)
+        release()
+        ClothGraspConstraints(scene)  # of the next attempt
+        assert are_touching(0.0)
 
 
 def test_what_a_pull_would_lead_to_changes_nothing(tmp_path: Path) -> None:

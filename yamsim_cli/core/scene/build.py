@@ -184,6 +184,7 @@ def _cloth_addresses(model: mujoco.MjModel, config: RecordConfig, item: ObjectCo
         half_thickness=cloth.half_thickness,
         max_point_spacing=cloth.max_point_spacing,
         held_by_layers=cloth.held == "layers",
+        is_released_clear=cloth.release == "clear",
     )
 
 

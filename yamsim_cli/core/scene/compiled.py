@@ -140,6 +140,7 @@ class ClothAddresses:
         radius: half the thickness, m.
         spacing: larger of the distances between neighbouring points along x and along y, m.
         held_by_layers: whether a hand also grasps the nearest point of each layer between its pads.
+        is_released_clear: whether fingers that release the cloth do not touch it until they are away from it.
     """
 
     flex: int
@@ -151,6 +152,7 @@ class ClothAddresses:
     half_thickness: float
     max_point_spacing: float
     held_by_layers: bool
+    is_released_clear: bool
 
     @property
     def thickness(self) -> float:

@@ -18,6 +18,10 @@ _CLOSED_OPENING = 0.006  # m, of each finger at which a hand grasps cloth
 _MIN_FORCE = 2.0  # N, of each finger at which a hand grasps cloth
 _RELEASE_OPENING = 0.002  # m, a hand releases cloth if its commanded opening exceeds the present one by more
 
+# Bits of MuJoCo's contact masks: of all geoms, of fingers that leave cloth, and of cloth.
+_COMMON_BIT, _LEAVING_BIT, _SHEET_BIT = 1, 2, 4
+_AWAY_DISTANCE = 0.02  # m, beyond the spacing of the points, from which fingers touch released cloth again
+
 _PAD_WIDTH = 0.0072  # m, half
 _PAD_LENGTH = 0.0082  # m, half
 _REACH_BELOW_TIPS = 0.002  # m, reach of closing fingers beyond their tips, in addition to the cloth's thickness
@@ -109,6 +113,15 @@ class ClothGraspConstraints:
             tuple(np.flatnonzero((scene.geom_arm == k) & (scene.geom_kind == kind)) for kind in kinds)
             for k in range(len(scene.arms))
         ]
+        # Hands that do not touch cloth, because they released it and are not away from it yet.
+        self._leaving = [False] * len(scene.arms)
+        self._may_leave = any(cloth.is_released_clear for cloth in scene.cloths.values())
+        if self._may_leave:
+            sheets = [cloth.flex for cloth in scene.cloths.values()]
+            scene.model.flex_contype[sheets] = _SHEET_BIT
+            scene.model.flex_conaffinity[sheets] = _COMMON_BIT | _SHEET_BIT
+            for number in range(len(scene.arms)):
+                self._set_leaving(number, False)
 
     def update_grasps(self, data: mujoco.MjData, ctrl: Array) -> list[bool]:
         """Grasp or release cloth for the next commands `ctrl` (nu,), and return whether each arm's hand holds cloth.
@@ -129,10 +142,29 @@ class ClothGraspConstraints:
                 return True
             for cloth in held:
                 data.eq_active[cloth.constraints[number]] = False
+            if any(cloth.is_released_clear for cloth in held):
+                self._set_leaving(number, True)
             return False
+        if self._leaving[number] and (commanded < opening - _RELEASE_OPENING or self._is_away(data, number)):
+            self._set_leaving(number, False)
         if opening > _CLOSED_OPENING or (opening - commanded) * fingers.gain < 2 * _MIN_FORCE:
             return False
         return any(self._grasp_points(data, number, cloth) for cloth in self._scene.cloths.values())
+
+    def _set_leaving(self, number: int, leaving: bool) -> None:
+        """Make the fingers of a hand touch everything, or everything but cloth."""
+        geoms = np.concatenate(self._fingers[number])
+        geoms = geoms[self._scene.model.geom_contype[geoms] != 0]
+        self._scene.model.geom_contype[geoms] = _LEAVING_BIT if leaving else _COMMON_BIT
+        self._scene.model.geom_conaffinity[geoms] = _COMMON_BIT | _LEAVING_BIT
+        self._leaving[number] = leaving
+
+    def _is_away(self, data: mujoco.MjData, number: int) -> bool:
+        tips = data.site(f"{self._scene.arms[number].prefix}pinch_site").xpos
+        return all(
+            np.linalg.norm(cloth.points(data.qpos) - tips, axis=1).min() > _AWAY_DISTANCE + cloth.max_point_spacing
+            for cloth in self._scene.cloths.values()
+        )
 
     def _grasp_points(self, data: mujoco.MjData, number: int, cloth: ClothAddresses) -> bool:
         touching = (data.contact.flex == cloth.flex).any(axis=1)

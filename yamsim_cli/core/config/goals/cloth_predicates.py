@@ -85,17 +85,19 @@ class Spread(PerObjectPredicate):
 
 
 class FoldedSize(Config):
-    """A cloth, and the largest area of its bounding box along the axes of `world`, seen from above.
+    """A cloth, and the largest size of its bounding box along the axes of `world`.
 
     Attributes:
         thing: a role of cloth.
-        area: largest area of the box, m2.
+        area: largest area of the box, seen from above, m2.
         share: instead of `area`, the largest area as a share of the box's area at the start.
+        height: largest height of the box, m.
     """
 
     thing: str
     area: Annotated[FiniteFloat, QuantityBounds("m2", 1e-4, 4)] | None = None
     share: Annotated[Share, Field(gt=0)] | None = None
+    height: Annotated[Distance, Field(gt=0)] = 0.04
 
     @model_validator(mode="after")
     def _exactly_one_given(self) -> Self:
@@ -118,12 +120,11 @@ class FoldedSmall(FoldedSize, PerObjectPredicate):
         thing: a role of cloth.
         area: largest area of the box, m2.
         share: instead of `area`, the largest area as a share of the box's area at the start.
-        height: largest height of a point above the lowest point, m.
+        height: largest height of the box, m.
     """
 
     IN_HAND: ClassVar[bool | None] = False
     JUDGES_CLOTH: ClassVar[bool] = True
-    height: Annotated[Distance, Field(gt=0)] = 0.04
 
     def _object_measures(self, world: GoalWorld, thing: str) -> list[GoalMeasure]:
         what = f"folded_small({thing})"

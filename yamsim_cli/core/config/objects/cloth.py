@@ -31,6 +31,8 @@ class Cloth(Config):
         damping_s: time constant of stretching and bending.
         friction: sliding friction against the table, hands and itself.
         held: "points": a hand holds all points between its pads; "layers": also one point of each layer between them.
+        release: "touching": fingers that release the cloth still touch it; "clear": they do not touch it until they are
+            away from it, or close again. Closed fingers pass through the sheet, which would then hang on them.
         solver: MuJoCo's solver in scenes with the cloth: `cg` takes half the time for large grids (21 x 21).
         checks: number of squares along x in a pattern of the second colour; 0 for none.
         colours: colours (RGB) of the fabric and of the checks.
@@ -45,6 +47,7 @@ class Cloth(Config):
     damping_s: Annotated[FiniteFloat, QuantityBounds("s", 0, 1)] = 0.01
     friction: NonNegative = 0.6
     held: Literal["points", "layers"] = "points"
+    release: Literal["touching", "clear"] = "touching"
     solver: Literal["newton", "cg"] = "newton"
     checks: Annotated[int, Field(ge=0, le=50)] = 0
     colours: tuple[Rgb, Rgb] = ((0.9, 0.9, 0.88), (0.7, 0.25, 0.2))
