@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
@@ -22,8 +23,8 @@ from ..core.expert.skills.skill import Skill
 from ..core.geometry.cloth_flattening import Point, height_range
 from ..core.geometry.se3 import Array
 from ..core.sim.sim_world import SimWorld
+from .pressing import press_point
 from .slide_grasps import SLIDE_SPEED, find_slide_grasps
-from .smoothing import bounding_box_area, smooth_folded_cloth
 
 _LIMIT_MARGIN = 0.98  # share of the goal's area that the skill aims at
 _AREA_MARGIN = 0.96  # predicted area as a share of the limit on the points' box, at which a fold suffices
@@ -50,7 +51,10 @@ _FLAT_LAYERS = 5.0  # layer thicknesses, largest height of flat cloth
 _FLAT_DISPLACEMENT = 0.2  # share of the side, largest distance of a point from its place in flat cloth
 _MAX_SLID_HEIGHT = 0.045  # m, of a cloth before and after a slide
 _MAX_PULLS, _MAX_SLIDES = 4, 2  # of crumpled cloth before the first fold
-_MAX_SMOOTHINGS = 3  # of a folded cloth that is too high
+_MIN_PULL_EFFECT = 0.002  # m, by which a pull moves at least one point along an axis
+
+_MAX_PRESSES = 2  # on a folded cloth that is too high
+_PRESSED_HEIGHT = 0.012  # m over the lowest point, of the tips that press a crease down; several layers lie under it
 
 _MIN_LATERAL = 0.5  # least length of a direction out from under a cloth; it is near 1 for sides and near 0 for corners
 _LAYER_HEIGHT = 0.005  # m, that counts as one layer
@@ -96,15 +100,16 @@ class FoldSmall(FoldedSize, Skill):
         limit = self.largest_area(context.world, thing)
         if self.crumpled:
             yield from self._spread(context, thing, limit)
-        folds = smoothings = 0
+        folds = presses = 0
         missed: list[tuple[Point, ...]] = []
         while folds < _MAX_FOLDS:
             points = context.world.cloth_points(thing)
-            if bounding_box_area(points) <= (limit if self._is_low(context, thing) else limit / _LIMIT_MARGIN):
-                if smoothings == _MAX_SMOOTHINGS or self._is_low(context, thing):
+            low = self._is_low(context, thing)
+            if bounding_box_area(points) <= limit / (1.0 if low else _LIMIT_MARGIN):
+                if low or presses == _MAX_PRESSES:
                     return
-                yield from smooth_folded_cloth(context, thing, limit / _LIMIT_MARGIN)
-                smoothings += 1
+                yield from _press_down(context, points)
+                presses += 1
                 continue
             if self.thirds and folds == 1 and (pulled := _pull_nearer_grasps(context, thing)):
                 yield from carry_points(context, thing, pulled, arch=0.0, speed=_SPEED)
@@ -152,9 +157,11 @@ class FoldSmall(FoldedSize, Skill):
                     continue
             if flat:
                 return
-            yield from flatten_cloth(context, thing, _FLAT_LAYERS, _FLAT_DISPLACEMENT, 1)
-            has_moved = bool(np.any(context.world.cloth_points(thing) != points))
-            pulls = pulls + 1 if has_moved else _MAX_PULLS
+            with suppress(SkillFailedError):  # of a hand that missed the cloth
+                yield from flatten_cloth(context, thing, _FLAT_LAYERS, _FLAT_DISPLACEMENT, 1)
+            distance = float(np.abs(context.world.cloth_points(thing) - points).max())
+            # The same pull would be planned again, if it or no pull moved the cloth.
+            pulls = pulls + 1 if distance > _MIN_PULL_EFFECT else _MAX_PULLS
 
     def _is_low(self, context: PlanningContext, thing: str) -> bool:
         thickness = context.world.cloth_addresses(thing).thickness
@@ -178,6 +185,12 @@ class FoldSmall(FoldedSize, Skill):
         return _first_reachable_fold(context, thing, points, folds) != (None, None)
 
 
+def _press_down(context: PlanningContext, points: Array) -> Iterator[MotionSegment]:
+    """Press down the highest point of a folded cloth, such as a crease that stands up."""
+    highest = points.reshape(-1, 3)[points[..., 2].argmax()]
+    yield from press_point(context, highest, height_range(points) - _PRESSED_HEIGHT)
+
+
 def _is_sufficient(fold: CreaseFold | None, limit: float) -> bool:
     return fold is not None and fold.area <= _AREA_MARGIN * limit
 
@@ -199,9 +212,9 @@ def _with_forward_retreat(grasp: PointGrasp) -> PointGrasp:
 
 
 def _bounding_box_turns(points: Array) -> list[float]:
-    """Return angles by which a turned cloth's bounding box shrinks, rad."""
+    """Return angles by which a turned cloth's bounding box shrinks, rad: to the nearest axis, or to the other one."""
     heading = _sheet_heading(points)
-    return [-heading, -1.2 * heading, 0.0]
+    return [-heading, -1.2 * heading, math.copysign(math.pi / 2, heading) - heading, 0.0]
 
 
 def _pull_nearer_grasps(context: PlanningContext, thing: str) -> list[PointGrasp] | None:
@@ -247,6 +260,11 @@ class CreaseFold:
     def point_targets(self) -> list[PointPlacement]:
         """The grasped points and their targets, for `reachable_grasps`."""
         return [PointPlacement(point, target_at_place(to)) for point, to in self.corners]
+
+
+def bounding_box_area(points: Array) -> float:
+    """Return the area of the box along the axes of `world` around points (..., 3), seen from above, m2."""
+    return float(np.prod(np.ptp(points.reshape(-1, 3)[:, :2], axis=0)))
 
 
 def possible_folds(points: Array, single: bool) -> list[CreaseFold]:

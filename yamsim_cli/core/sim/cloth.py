@@ -103,7 +103,8 @@ class ClothGraspConstraints:
     """Switches the constraints that hold cloth in hands, because friction does not hold a grid of points.
 
     A hand grasps every point between its pads when both fingers are closed, touch the cloth and press. The hand
-    releases the cloth when its fingers are commanded to open.
+    releases the cloth when its fingers are commanded to open. If the cloth is to be released clear, its contacts with
+    these fingers are then off, until the fingers are commanded to close or are away from it.
     """
 
     def __init__(self, scene: CompiledScene) -> None:
@@ -113,10 +114,9 @@ class ClothGraspConstraints:
             tuple(np.flatnonzero((scene.geom_arm == k) & (scene.geom_kind == kind)) for kind in kinds)
             for k in range(len(scene.arms))
         ]
-        # Hands that do not touch cloth, because they released it and are not away from it yet.
+        # Whether each hand released cloth and is not away from it yet: its fingers do not touch cloth.
         self._leaving = [False] * len(scene.arms)
-        self._may_leave = any(cloth.is_released_clear for cloth in scene.cloths.values())
-        if self._may_leave:
+        if any(cloth.is_released_clear for cloth in scene.cloths.values()):
             sheets = [cloth.flex for cloth in scene.cloths.values()]
             scene.model.flex_contype[sheets] = _SHEET_BIT
             scene.model.flex_conaffinity[sheets] = _COMMON_BIT | _SHEET_BIT
@@ -126,7 +126,7 @@ class ClothGraspConstraints:
     def update_grasps(self, data: mujoco.MjData, ctrl: Array) -> list[bool]:
         """Grasp or release cloth for the next commands `ctrl` (nu,), and return whether each arm's hand holds cloth.
 
-        The constraints are switched in `data`; their anchors are written into the scene's model.
+        The constraints are switched in `data`; their anchors and the fingers' contact masks are written into the model.
         """
         return [self._update_hand(data, number, ctrl) for number in range(len(self._scene.arms))]
 

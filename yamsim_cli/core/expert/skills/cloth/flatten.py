@@ -29,12 +29,12 @@ FLAT_LAYERS = 3.5  # layer thicknesses, largest height of flat cloth
 FLAT_DISPLACEMENT = 0.06  # share of the cloth's side, of a point from its flat place
 
 _MAX_PULLS = 6
-PULL_SPEED = 0.15  # m/s
+_PULL_SPEED = 0.15  # m/s
 _MIN_IMPROVEMENT = 0.04  # share by which a pull must reduce the unevenness
 
 _RETRY_PULL_FACTOR = 3.0  # factor of pull lengths, height limits and the least improvement, once no ordinary pull helps
 
-PULL_LENGTH_SHARES = (1.0, 0.7, 0.45)  # of a pull, in the order tried, if hands do not reach all of it
+_PULL_LENGTH_SHARES = (1.0, 0.7, 0.45)  # of a pull, in the order tried, if hands do not reach all of it
 
 # layer thicknesses: horizontal distances of points at a pulled point's target, and of points that follow it
 _TARGET_LAYERS, _FOLLOWING_LAYERS = 4, 6
@@ -101,7 +101,7 @@ def flatten_cloth(
             [points[point] for point in planned.pull.points],
         )
         try:
-            yield from carry_points(context, thing, planned.grasps, planned.pull.arch_ratio, PULL_SPEED)
+            yield from carry_points(context, thing, planned.grasps, planned.pull.arch_ratio, _PULL_SPEED)
             miss = None
         except SkillFailedError as error:
             miss = error
@@ -145,15 +145,15 @@ def _best_pull(
             filter(
                 None,
                 (
-                    reachable_grasps(context, thing, pull_placements(points, pull, share, thickness))
-                    for share in PULL_LENGTH_SHARES
+                    reachable_grasps(context, thing, _point_placements(points, pull, share, thickness))
+                    for share in _PULL_LENGTH_SHARES
                 ),
             ),
             None,
         )
         if grasps is None:
             continue
-        after = predict_cloth_points(context, thing, grasps, pull.arch_ratio, PULL_SPEED)
+        after = predict_cloth_points(context, thing, grasps, pull.arch_ratio, _PULL_SPEED)
         uneven = sheet_unevenness(after, cloth.flat_points, thickness)
         if best is None or uneven < best.predicted_unevenness:
             best = _PlannedPull(grasps, pull, uneven)
@@ -161,8 +161,7 @@ def _best_pull(
     return None if best is None or best.predicted_unevenness > (1 - improvement) * now else best
 
 
-def pull_placements(points: Array, pull: ClothPull, share: float, thickness: float) -> list[PointPlacement]:
-    """Return the grasped points and their targets of a share of a pull; other arguments as in `candidate_pulls`."""
+def _point_placements(points: Array, pull: ClothPull, share: float, thickness: float) -> list[PointPlacement]:
     placements = []
     for point, to in zip(pull.points, pull.targets, strict=True):
         place = _resting_position_at(points, point, points[point][:2] + share * (to - points[point][:2]), thickness)
