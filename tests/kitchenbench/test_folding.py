@@ -16,6 +16,7 @@ from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint, make_success_checker
 
 from tests.kitchenbench.realizations import judged_planning_scene
+from yamsim_cli.core.expert.skills.common_motions import unparked_hands
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.cloth import grid_edges
 from yamsim_cli.kitchen_skills.fold_small import FoldSmall, bounding_box_area, possible_folds
@@ -106,7 +107,7 @@ def test_what_the_expert_aims_at_is_what_the_checker_asks(name: str) -> None:
     try:
         item = scene.blueprint.objects[0]
         cloth = scene.object_configs[item.name].cloth
-        assert cloth is not None
+        assert cloth is not None and cloth.release == "clear"
         world = KitchenWorld(scene, SceneStepper(scene, 10))
         checker = make_success_checker(scene.blueprint, world)
         (skill,) = build_scene_program(scene.blueprint, scene.object_configs, scene.base_positions)
@@ -147,9 +148,10 @@ class _Square:
 def test_a_folded_cloth_lies_flat(name: str, epoch: int, most_actions: int) -> None:
     with judged_planning_scene(SCENES[f"fold-cloth-{name}"], epoch, root=2026) as (planning, judge):
         assert run_expert(planning, judge, 120) < most_actions and judge.evaluate()[0]
-        while len(planning.next_actions()) > 1:
-            pass
-        assert judge.evaluate()[0]  # also after the hands have left
+        for _ in range(12):  # until the hands have left
+            planning.next_actions()
+        assert judge.evaluate()[0]
+        assert not unparked_hands(planning.context)
 
 
 @pytest.mark.long

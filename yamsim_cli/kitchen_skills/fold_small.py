@@ -51,10 +51,11 @@ _FLAT_LAYERS = 5.0  # layer thicknesses, largest height of flat cloth
 _FLAT_DISPLACEMENT = 0.2  # share of the side, largest distance of a point from its place in flat cloth
 _MAX_SLID_HEIGHT = 0.045  # m, of a cloth before and after a slide
 _MAX_PULLS, _MAX_SLIDES = 4, 2  # of crumpled cloth before the first fold
-_MIN_PULL_EFFECT = 0.002  # m, by which a pull moves at least one point along an axis
+_MIN_PULL_EFFECT = 0.002  # m, least displacement of a point along an axis that counts as an effect of a pull
 
 _MAX_PRESSES = 2  # on a folded cloth that is too high
-_PRESSED_HEIGHT = 0.012  # m over the lowest point, of the tips that press a crease down; several layers lie under it
+# m over the cloth's lowest point, of the pinch frame at the end of a press. The tips are 8 mm lower, on the layers.
+_PRESSED_HEIGHT = 0.012
 
 _MIN_LATERAL = 0.5  # least length of a direction out from under a cloth; it is near 1 for sides and near 0 for corners
 _LAYER_HEIGHT = 0.005  # m, that counts as one layer
@@ -70,9 +71,9 @@ class FoldSmall(FoldedSize, Skill):
         thing: a role that cloth plays.
         area: largest area of the box along the axes of `world`, seen from above, m2.
         share: instead of `area`, the largest area as a share of the box's area at the start of the attempt.
-        height: largest height of the box, m; a cloth that is small enough but higher is pressed down.
+        height: largest height of the box, m; folded cloth that is higher is pressed down, unless `crumpled`.
         thirds: whether the first third is folded first, and the cloth is then pulled nearer for the last third.
-        crumpled: whether the cloth is flattened first, and slid to where hands reach a sufficient fold.
+        crumpled: whether the cloth is first pulled flat, and slid to where hands reach a sufficient fold.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -95,19 +96,21 @@ class FoldSmall(FoldedSize, Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Yield the motions that flatten, slide and fold the cloth; see `Skill.run`."""
+        """Yield the motions that flatten, slide, fold and press the cloth; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         limit = self.largest_area(context.world, thing)
+        goal_area = limit / _LIMIT_MARGIN
         if self.crumpled:
             yield from self._spread(context, thing, limit)
         folds = presses = 0
         missed: list[tuple[Point, ...]] = []
         while folds < _MAX_FOLDS:
             points = context.world.cloth_points(thing)
-            low = self._is_low(context, thing)
-            if bounding_box_area(points) <= limit / (1.0 if low else _LIMIT_MARGIN):
-                if low or presses == _MAX_PRESSES:
-                    return
+            low = self._is_low(context.world, thing)
+            if bounding_box_area(points) <= (limit if low and not presses else goal_area):
+                # Presses do not lower crumpled cloth, whose grid is finer.
+                if low or self.crumpled or presses == _MAX_PRESSES:
+                    break
                 yield from _press_down(context, points)
                 presses += 1
                 continue
@@ -130,7 +133,7 @@ class FoldSmall(FoldedSize, Skill):
                 yield from open_and_park_hands(context)
                 continue
             folds += 1
-        if bounding_box_area(context.world.cloth_points(thing)) > limit:
+        if bounding_box_area(context.world.cloth_points(thing)) > goal_area:
             raise SkillFailedError(
                 FailureCause.UNREACHABLE, f"no hands reach points that would make the {thing} smaller"
             )
@@ -138,11 +141,12 @@ class FoldSmall(FoldedSize, Skill):
     def _spread(self, context: PlanningContext, thing: str, limit: float) -> Iterator[MotionSegment]:
         """Pull and slide a crumpled cloth, until it is flat and hands reach a sufficient fold."""
         pulls = slides = 0
+        missed: list[Array] = []
         while True:
             points = context.world.cloth_points(thing)
-            flat = is_flat(context, thing, _FLAT_LAYERS, _FLAT_DISPLACEMENT) or pulls == _MAX_PULLS
+            done_pulling = is_flat(context, thing, _FLAT_LAYERS, _FLAT_DISPLACEMENT) or pulls == _MAX_PULLS
             foldable = self._is_foldable(context, thing, limit, points)
-            if flat and foldable:
+            if done_pulling and foldable:
                 return
             if not foldable and slides < _MAX_SLIDES and height_range(points) < _MAX_SLID_HEIGHT:
                 if unparked_hands(context):
@@ -150,22 +154,24 @@ class FoldSmall(FoldedSize, Skill):
                     yield from open_and_park_hands(context)
                     continue
                 wanted = partial(self._is_foldable, context, thing, limit)
-                slide = find_slide_grasps(context, thing, _bounding_box_turns(points), wanted, _MAX_SLID_HEIGHT)
+                slide = find_slide_grasps(context, thing, _turns_to_axes(points), wanted, _MAX_SLID_HEIGHT)
                 if slide is not None:
                     yield from carry_points(context, thing, slide, arch=0.0, speed=SLIDE_SPEED)
                     slides += 1
                     continue
-            if flat:
+            if done_pulling:
                 return
-            with suppress(SkillFailedError):  # of a hand that missed the cloth
-                yield from flatten_cloth(context, thing, _FLAT_LAYERS, _FLAT_DISPLACEMENT, 1)
+            known = len(missed)
+            with suppress(SkillFailedError):  # a hand missed the cloth
+                yield from flatten_cloth(context, thing, _FLAT_LAYERS, _FLAT_DISPLACEMENT, 1, missed)
             distance = float(np.abs(context.world.cloth_points(thing) - points).max())
-            # The same pull would be planned again, if it or no pull moved the cloth.
-            pulls = pulls + 1 if distance > _MIN_PULL_EFFECT else _MAX_PULLS
+            # No pull was made if the cloth did not move, and no pull missed.
+            pulls = pulls + 1 if distance > _MIN_PULL_EFFECT or len(missed) > known else _MAX_PULLS
 
-    def _is_low(self, context: PlanningContext, thing: str) -> bool:
-        thickness = context.world.cloth_addresses(thing).thickness
-        return height_range(context.world.cloth_points(thing)) + thickness <= self.height
+    def _is_low(self, world: SimWorld, thing: str) -> bool:
+        """Whether the bounding box is as low as the goal requires."""
+        low, high = world.aabb(thing)
+        return float(high[2] - low[2]) <= self.height
 
     def _sorted_folds(self, points: Array, limit: float, first: bool) -> list[CreaseFold]:
         """Return folds, the best first: by sufficient area, few layers, whole sides, and small area."""
@@ -187,8 +193,10 @@ class FoldSmall(FoldedSize, Skill):
 
 def _press_down(context: PlanningContext, points: Array) -> Iterator[MotionSegment]:
     """Press down the highest point of a folded cloth, such as a crease that stands up."""
-    highest = points.reshape(-1, 3)[points[..., 2].argmax()]
-    yield from press_point(context, highest, height_range(points) - _PRESSED_HEIGHT)
+    yield from open_and_park_hands(context)  # hands that are still over the cloth block each other
+    highest, depth = points.reshape(-1, 3)[points[..., 2].argmax()], height_range(points) - _PRESSED_HEIGHT
+    if depth > 0:
+        yield from press_point(context, highest, depth)
 
 
 def _is_sufficient(fold: CreaseFold | None, limit: float) -> bool:
@@ -211,8 +219,8 @@ def _with_forward_retreat(grasp: PointGrasp) -> PointGrasp:
     return grasp if has_lateral else replace(grasp, lateral=grasp.forward)
 
 
-def _bounding_box_turns(points: Array) -> list[float]:
-    """Return angles by which a turned cloth's bounding box shrinks, rad: to the nearest axis, or to the other one."""
+def _turns_to_axes(points: Array) -> list[float]:
+    """Return the turns to try, rad: to the nearest axis, a little beyond it, to the other axis, and none."""
     heading = _sheet_heading(points)
     return [-heading, -1.2 * heading, math.copysign(math.pi / 2, heading) - heading, 0.0]
 

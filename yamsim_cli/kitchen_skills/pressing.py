@@ -1,4 +1,4 @@
-"""Press closed fingers down onto something."""
+"""`press_point`: press closed fingers down onto an object."""
 
 from __future__ import annotations
 
@@ -36,9 +36,10 @@ class _Press:
 
 
 def press_point(context: PlanningContext, point: Array, depth: float) -> Iterator[MotionSegment]:
-    """Press closed fingers onto a point (3,) in `world`, m, and `depth` (m) below it; do nothing if no hand reaches it.
+    """Move the pinch frame of closed fingers from above a point (3,) in `world`, m, to `depth` (m) below it.
 
-    The free hand that moves least presses; the others are parked.
+    Of the free hands that reach the point, the one that moves least presses, and the others are parked. If no hand
+    reaches it, nothing moves.
     """
     presses = list(_presses(context, point, depth))
     if not presses:

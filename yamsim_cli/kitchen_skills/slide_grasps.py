@@ -25,7 +25,7 @@ _MAX_TRIALS = 8  # slides that are simulated; each takes long
 def find_slide_grasps(
     context: PlanningContext, thing: str, turns: Sequence[float], wanted: Callable[[Array], bool], max_height: float
 ) -> list[PointGrasp] | None:
-    """Return grasps with which two hands slide a flat cloth to where `wanted` is true; None if no slide achieves that.
+    """Return grasps with which two hands slide a cloth to where `wanted` is true; None if no slide achieves that.
 
     The cloth may be turned by `turns`, rad. `wanted` gets its points (along y, along x, 3) in `world`, m.
     After the slide, its highest point is less than `max_height` (m) above its lowest one.

@@ -201,8 +201,11 @@ def cloth_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
     assert base is not None, "`CLOTH_CONFIGS` has cloth only"
     nominal = ASSETS[item.asset].footprint_w_cm
     factor = (item.size_cm or nominal) / nominal
-    grown: dict[str, Any] = {"size_mm": [side * factor for side in base.size_mm], "mass_g": base.mass_g * factor**2}
-    grown["release"] = "clear"
+    grown: dict[str, Any] = {
+        "size_mm": [side * factor for side in base.size_mm],
+        "mass_g": base.mass_g * factor**2,
+        "release": "clear",
+    }
     if CRUMPLE_CONDITION in blueprint.conditions:
         grown |= {"grid": [_CRUMPLED_GRID_REFINEMENT * (count - 1) + 1 for count in base.grid], "solver": "cg"}
     if is_folded_in_thirds(blueprint, item):

@@ -9,7 +9,6 @@ from kitchenbench.sim.blueprint import SceneBlueprint
 from kitchenbench.sim.success import (
     CONTACT_TOL_M,
     CONTAIN_FRACTION,
-    FOLD_MAX_HEIGHT_M,
     OPEN_FRACTION,
     SCOOP_TOL_G,
     SEAL_TOL_M,
@@ -63,8 +62,7 @@ def _clauses(blueprint: SceneBlueprint) -> list[Mapping[str, Any]]:
             ]
         case GoalKind.FOLD:
             cloth = next(item for item in blueprint.objects if item.name == roles["cloth"])
-            limit = fold_limit(blueprint, cloth)
-            return [{"folded_small": {"thing": cloth.name, "height": FOLD_MAX_HEIGHT_M, **limit}}]
+            return [{"folded_small": {"thing": cloth.name, **fold_limit(blueprint, cloth)}}]
         case GoalKind.OPEN:
             return [{"open": {"thing": roles["container"], "joint": LID, "share": OPEN_FRACTION}}]
         case GoalKind.SEAL:

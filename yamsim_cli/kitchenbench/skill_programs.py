@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
-from kitchenbench.sim.success import FOLD_RATIO_PER_FOLD, SCOOP_TOL_G
+from kitchenbench.sim.success import FOLD_MAX_HEIGHT_M, FOLD_RATIO_PER_FOLD, SCOOP_TOL_G
 
 from ..core.config.objects.object_config import ObjectConfig
 from ..core.config.objects.shapes import CapShape, RackShape
@@ -99,14 +99,14 @@ def _fold_program(blueprint: SceneBlueprint, cloth: str) -> list[Skill]:
 def fold_limit(blueprint: SceneBlueprint, item: SceneObject) -> dict[str, float]:
     """Return the largest bounding box of a folded cloth that KitchenBench's checker accepts.
 
-    The dictionary has the key `area`, m2, or `share`, of the box at the start.
+    The dictionary has the key `height`, m, and either `area`, m2, or `share`, of the box's area at the start.
     """
     given = blueprint.success_params
     ratio = FOLD_RATIO_PER_FOLD ** int(float(given.get("fold_count", 1))) * (1 + float(given.get("slack", 0.0)))
     if given.get("baseline") != "nominal":
-        return {"share": ratio}
+        return {"height": FOLD_MAX_HEIGHT_M, "share": ratio}
     asset = ASSETS[item.asset]
-    return {"area": ratio * asset.footprint_w_cm * asset.footprint_h_cm / 1e4}
+    return {"height": FOLD_MAX_HEIGHT_M, "area": ratio * asset.footprint_w_cm * asset.footprint_h_cm / 1e4}
 
 
 def _pick_and_place(thing: str, placing: Skill) -> list[Skill]:

@@ -12,6 +12,7 @@ import pytest
 
 from tests.programs import FOLD, changed, first_attempt, session_of, started
 from yamsim_cli.core.attempt_data import ActionSequence, FailureCause
+from yamsim_cli.core.config.objects.cloth import object_keys_from_cloth
 from yamsim_cli.core.dataset.checks.lowdim import expected_specs, frame_faults
 from yamsim_cli.core.episode.attempt_payload import frame_records
 from yamsim_cli.core.episode.episode_rules import EXPERT_RULES, REPLAY_RULES
@@ -101,44 +102,50 @@ def test_a_finger_under_cloth_would_lift_it_and_one_on_it_would_not(tmp_path: Pa
             assert len(world.sides_with_finger_under_cloth("napkin")) == expected
 
 
-@pytest.mark.parametrize("clear", [True, False])
-def test_fingers_that_released_cloth_touch_it_again_when_they_close_or_are_away(tmp_path: Path, clear: bool) -> None:
-    with SimulatorCache(session_of(tmp_path, FOLD)) as simulators:
-        simulator, _, data = started(simulators)
+@pytest.mark.parametrize("release", ["clear", "touching"])
+def test_contacts_of_fingers_that_release_cloth(tmp_path: Path, release: str) -> None:
+    """With `clear`, they are off until the fingers close, have left the cloth, or the next attempt begins."""
+    napkin = {"name": "napkin", "cloth": {"size_mm": [200, 200], "grid": [9, 9], "mass_g": 12, "release": release}}
+    napkin |= object_keys_from_cloth(napkin)
+    with SimulatorCache(session_of(tmp_path, changed({("things", "napkin", "of"): napkin}, FOLD))) as simulators:
+        simulator, attempt, data = started(simulators)
         scene, model = simulator.scene, simulator.scene.model
-        cloth = scene.cloths["napkin"] = replace(scene.cloths["napkin"], is_released_clear=clear)
+        cloth, clear = scene.cloths["napkin"], release == "clear"
         constraints = ClothGraspConstraints(scene)
-        fingers = scene.arms[0].fingers
-        assert fingers is not None
-        tips = data.site(f"{scene.arms[0].prefix}pinch_site").xpos.copy()
-        opened, closed = data.ctrl.copy(), data.ctrl.copy()
-        opened[fingers.ctrl], closed[fingers.ctrl] = fingers.ctrl_range[1], fingers.ctrl_range[0]
+        fingers, pinch = scene.arms[0].fingers, data.site(f"{scene.arms[0].prefix}pinch_site").xpos.copy()
+        assert fingers is not None and attempt.start is not None
 
-        def are_touching(offset: float) -> bool:
-            """Whether fingers touch the cloth if its points lie at a height over the tips."""
-            data.qpos[cloth.qpos] = [*tips[:2], tips[2] + offset]
+        def command(opening: float) -> None:
+            data.ctrl[fingers.ctrl] = opening
+            assert constraints.update_grasps(data, data.ctrl) == [False, False]
+
+        def are_touching(height: float = 0.0) -> bool:
+            """Whether fingers touch the cloth if it lies flat at a height over the pinch frame."""
+            data.qpos[cloth.qpos] = [*pinch[:2], pinch[2] + height]
             mujoco.mj_forward(model, data)
-            sheet, geoms = (data.contact.flex >= 0).any(axis=1), data.contact.geom.max(axis=1)
-            names = {model.body(model.geom_bodyid[geom]).name for geom in geoms[sheet] if geom >= 0}
-            return any("finger" in name for name in names)
+            with_cloth = data.contact.geom[(data.contact.flex >= 0).any(axis=1)].max(axis=1)
+            return any("finger" in model.body(model.geom_bodyid[geom]).name for geom in with_cloth if geom >= 0)
 
-        def release() -> None:
+        def release_cloth() -> None:
             data.eq_active[cloth.constraints[0, 0]] = True
-            assert constraints.update_grasps(data, opened) == [False, False]
+            command(fingers.ctrl_range[1])
 
-        assert are_touching(0.0)
-        for end in (closed, opened):
-            release()
-            assert are_touching(0.0) != clear
-            constraints.update_grasps(data, opened)
-            assert are_touching(0.0) != clear  # still in the same place
-            if end is opened:
-                assert not are_touching(0.3)
-            constraints.update_grasps(data, end)
-            assert are_touching(0.0)
-        release()
-        ClothGraspConstraints(scene)  # of the next attempt
-        assert are_touching(0.0)
+        assert are_touching()
+        release_cloth()
+        assert are_touching() != clear
+        command(fingers.ctrl_range[1] - 0.001)
+        assert are_touching() != clear
+        command(fingers.ctrl_range[1] - 0.003)  # fingers close slowly
+        assert are_touching()
+
+        release_cloth()
+        assert not are_touching(0.3)
+        command(fingers.ctrl_range[1])  # the cloth is away
+        assert are_touching()
+
+        release_cloth()
+        scene.reset(data, attempt.start)
+        assert are_touching()
 
 
 def test_what_a_pull_would_lead_to_changes_nothing(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from ..geometry.se3 import pose, rotation_z
 from ..robots.models import Fingers
 from .assets.mesh_reduction import REPORT_FILE
 from .blueprint import Blueprint, TaskPhysics, recording_blueprint
-from .cloth import cloth_grasp_constraint_name, flat_points
+from .cloth import LEAVING_BIT, cloth_grasp_constraint_name, flat_points
 from .compilation import compile_spec
 from .compiled import ArmAddresses, ClothAddresses, CompiledScene, ContainerRegion, FingerAddresses, GeomOwnerKind, Ids
 from .compose import READING_SUFFIX, WELD_NAME, compose_scene, visual_mesh_sets
@@ -43,7 +43,7 @@ def build_scene(session: Session) -> CompiledScene:
     for name, joints in pieces.items():
         model.qpos0[model.jnt_qposadr[joints][:, None] + np.arange(7)] = stacked_poses(config.task, name)
     welds = config.grasp == "weld"
-    return CompiledScene(
+    scene = CompiledScene(
         model=model,
         arms=tuple(_arm_addresses(model, config.rig, number, welds=welds) for number in config.rig.recording_order),
         object_qpos={name: int(model.joint(name).qposadr[0]) for name in objects},
@@ -55,6 +55,11 @@ def build_scene(session: Session) -> CompiledScene:
         pieces=pieces,
         regions={name: _container_region(config, region) for name, region in config.task.regions.items()},
     )
+    if scene.releases_clear:
+        # Fingers that leave cloth keep their contacts with other fingers.
+        fingers = np.concatenate([geoms for pair in scene.finger_geoms for geoms in pair])
+        model.geom_conaffinity[fingers[model.geom_conaffinity[fingers] != 0]] |= LEAVING_BIT
+    return scene
 
 
 def _container_region(config: RecordConfig, region: Region) -> ContainerRegion:

@@ -17,6 +17,9 @@ _CHECKER_SQUARE_PX = 16  # px, of one square of the checker texture
 _TIME_CONSTANT = 0.01  # s, of cloth contacts and grasp constraints; at least two time steps
 # `solimp` of grasp constraints for cloth with `held: layers`. With 0.9 and 0.95, points of 0.1 g lag 4 cm.
 _GRASP_SOLIMP = (0.999, 0.9999)
+# Bits of contact masks in scenes with `release: clear`: `COMMON_BIT` of all geoms; `LEAVING_BIT` instead, of fingers
+# that leave cloth; `_SHEET_BIT` of cloth, which has contacts with itself and with `COMMON_BIT`.
+COMMON_BIT, LEAVING_BIT, _SHEET_BIT = 1, 2, 4
 _CONDIM = 3  # normal and tangential forces
 # CG solver. With MuJoCo's 1e-8, a fold of 21 x 21 points takes a third longer, for less than 0.02 mm.
 _TOLERANCE = 1e-6
@@ -79,6 +82,8 @@ def add_cloth(spec: mujoco.MjSpec, item: ObjectConfig) -> None:
     sheet.elastic2d = 3
     sheet.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_AUTO
     sheet.friction, sheet.condim, sheet.solref = [cloth.friction, 0.005, 0.0001], _CONDIM, [_TIME_CONSTANT, 1]
+    if cloth.release == "clear":
+        sheet.contype, sheet.conaffinity = _SHEET_BIT, COMMON_BIT | _SHEET_BIT
     sheet.material = _add_material(spec, item, cloth)
     if cloth.checks:
         sheet.texcoord = (points[:, :2] / cloth.size[0] + 0.5).ravel().tolist()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..attempt_data import ArmPosture, ObjectLayout
 from ..geometry.se3 import Array, pose, pose_from_quat, quat_from_rotation, rotation_z
+from .cloth import COMMON_BIT, LEAVING_BIT
 
 Ids = NDArray[np.int_]
 
@@ -140,7 +141,7 @@ class ClothAddresses:
         radius: half the thickness, m.
         spacing: larger of the distances between neighbouring points along x and along y, m.
         held_by_layers: whether a hand also grasps the nearest point of each layer between its pads.
-        is_released_clear: whether fingers that release the cloth do not touch it until they are away from it.
+        is_released_clear: whether fingers that released the cloth have no contacts with it until they leave it.
     """
 
     flex: int
@@ -210,7 +211,8 @@ class CompiledScene:
     """A compiled model with the addresses for stepping and recording.
 
     Attributes:
-        model: constant between attempts, except that attempts write the targets of welds into it.
+        model: constant between attempts, except that attempts write the targets of welds and of cloth constraints into
+            it, and the contact masks of fingers that leave cloth.
         arms: in the order of recordings, the left one first.
         object_qpos, object_dof: rigid object -> address of its free joint in `qpos` and in `qvel`.
         cameras: names of the recorded cameras, in order.
@@ -286,6 +288,30 @@ class CompiledScene:
             T = T_in_world @ pose_from_quat(self.model.qpos0[k : k + 3], self.model.qpos0[k + 3 : k + 7])
             qpos[k : k + 7] = (*T[:3, 3], *quat_from_rotation(T[:3, :3]))
 
+    @functools.cached_property
+    def finger_geoms(self) -> tuple[tuple[Ids, Ids], ...]:
+        """Ids of the geoms of the left and of the right finger of each arm."""
+
+        def geoms_of(arm: int, kind: GeomOwnerKind) -> Ids:
+            return np.flatnonzero((self.geom_arm == arm) & (self.geom_kind == kind))
+
+        return tuple(
+            (geoms_of(arm, GeomOwnerKind.LEFT_FINGER), geoms_of(arm, GeomOwnerKind.RIGHT_FINGER))
+            for arm in range(len(self.arms))
+        )
+
+    @functools.cached_property
+    def releases_clear(self) -> bool:
+        """Whether any cloth has `is_released_clear`."""
+        return any(cloth.is_released_clear for cloth in self.cloths.values())
+
+    def switch_cloth_contacts(self, arm: int, on: bool) -> None:
+        """Switch the contacts between the fingers of an arm and all cloth on or off; `reset` switches them on."""
+        masks, geoms = self.model.geom_contype, np.concatenate(self.finger_geoms[arm])
+        geoms = geoms[masks[geoms] != 0]
+        masks[geoms] &= ~(COMMON_BIT | LEAVING_BIT)
+        masks[geoms] |= COMMON_BIT if on else LEAVING_BIT
+
     def reset(self, data: mujoco.MjData, qpos: Array, commanded: Array | None = None) -> None:
         """Reset `data` to rest at `qpos` (nq,), with commands that hold each drive's position.
 
@@ -293,6 +319,9 @@ class CompiledScene:
         commands `commanded` (nu,), by default the present positions.
         """
         mujoco.mj_resetData(self.model, data)
+        if self.releases_clear:
+            for number in range(len(self.arms)):
+                self.switch_cloth_contacts(number, on=True)
         data.qpos[:] = qpos
         for arm in self.arms:
             data.ctrl[arm.drive_ctrl] = qpos[arm.recorded_qpos]

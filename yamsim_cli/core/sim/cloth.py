@@ -11,16 +11,15 @@ from numpy.typing import NDArray
 from ..geometry.cloth_contacts import count_self_intersections, mask_between_pads, nearest_point_per_layer
 from ..geometry.se3 import Array, pose, rotation_z
 from ..scene.cloth import grid_edges, grid_triangles
-from ..scene.compiled import ClothAddresses, CompiledScene, GeomOwnerKind
+from ..scene.compiled import ClothAddresses, CompiledScene
 from .settling import settle_objects
 
 _CLOSED_OPENING = 0.006  # m, of each finger at which a hand grasps cloth
 _MIN_FORCE = 2.0  # N, of each finger at which a hand grasps cloth
 _RELEASE_OPENING = 0.002  # m, a hand releases cloth if its commanded opening exceeds the present one by more
 
-# Bits of MuJoCo's contact masks: of all geoms, of fingers that leave cloth, and of cloth.
-_COMMON_BIT, _LEAVING_BIT, _SHEET_BIT = 1, 2, 4
-_AWAY_DISTANCE = 0.02  # m, beyond the spacing of the points, from which fingers touch released cloth again
+# m, beyond the spacing of the points, from the pinch frame to the nearest point of cloth, at which fingers have left it
+_AWAY_DISTANCE = 0.02
 
 _PAD_WIDTH = 0.0072  # m, half
 _PAD_LENGTH = 0.0082  # m, half
@@ -103,25 +102,14 @@ class ClothGraspConstraints:
     """Switches the constraints that hold cloth in hands, because friction does not hold a grid of points.
 
     A hand grasps every point between its pads when both fingers are closed, touch the cloth and press. The hand
-    releases the cloth when its fingers are commanded to open. If the cloth is to be released clear, its contacts with
-    these fingers are then off, until the fingers are commanded to close or are away from it.
+    releases the cloth when its fingers are commanded to open. If the cloth is released clear, the contacts of these
+    fingers with all cloth are then off, until the fingers are commanded to close or have left all cloth.
     """
 
     def __init__(self, scene: CompiledScene) -> None:
         self._scene = scene
-        kinds = (GeomOwnerKind.LEFT_FINGER, GeomOwnerKind.RIGHT_FINGER)
-        self._fingers = [
-            tuple(np.flatnonzero((scene.geom_arm == k) & (scene.geom_kind == kind)) for kind in kinds)
-            for k in range(len(scene.arms))
-        ]
-        # Whether each hand released cloth and is not away from it yet: its fingers do not touch cloth.
-        self._leaving = [False] * len(scene.arms)
-        if any(cloth.is_released_clear for cloth in scene.cloths.values()):
-            sheets = [cloth.flex for cloth in scene.cloths.values()]
-            scene.model.flex_contype[sheets] = _SHEET_BIT
-            scene.model.flex_conaffinity[sheets] = _COMMON_BIT | _SHEET_BIT
-            for number in range(len(scene.arms)):
-                self._set_leaving(number, False)
+        # For each hand that leaves released cloth, the largest commanded opening since the release, m.
+        self._leaving: dict[int, float] = {}
 
     def update_grasps(self, data: mujoco.MjData, ctrl: Array) -> list[bool]:
         """Grasp or release cloth for the next commands `ctrl` (nu,), and return whether each arm's hand holds cloth.
@@ -143,33 +131,29 @@ class ClothGraspConstraints:
             for cloth in held:
                 data.eq_active[cloth.constraints[number]] = False
             if any(cloth.is_released_clear for cloth in held):
-                self._set_leaving(number, True)
+                self._leaving[number] = commanded
+                self._scene.switch_cloth_contacts(number, on=False)
             return False
-        if self._leaving[number] and (commanded < opening - _RELEASE_OPENING or self._is_away(data, number)):
-            self._set_leaving(number, False)
+        if number in self._leaving:
+            largest = self._leaving[number] = max(self._leaving[number], commanded)
+            if commanded < largest - _RELEASE_OPENING or self._is_away(data, number):
+                del self._leaving[number]
+                self._scene.switch_cloth_contacts(number, on=True)
         if opening > _CLOSED_OPENING or (opening - commanded) * fingers.gain < 2 * _MIN_FORCE:
             return False
         return any(self._grasp_points(data, number, cloth) for cloth in self._scene.cloths.values())
 
-    def _set_leaving(self, number: int, leaving: bool) -> None:
-        """Make the fingers of a hand touch everything, or everything but cloth."""
-        geoms = np.concatenate(self._fingers[number])
-        geoms = geoms[self._scene.model.geom_contype[geoms] != 0]
-        self._scene.model.geom_contype[geoms] = _LEAVING_BIT if leaving else _COMMON_BIT
-        self._scene.model.geom_conaffinity[geoms] = _COMMON_BIT | _LEAVING_BIT
-        self._leaving[number] = leaving
-
     def _is_away(self, data: mujoco.MjData, number: int) -> bool:
-        tips = data.site(f"{self._scene.arms[number].prefix}pinch_site").xpos
+        pinch = data.site(f"{self._scene.arms[number].prefix}pinch_site").xpos
         return all(
-            np.linalg.norm(cloth.points(data.qpos) - tips, axis=1).min() > _AWAY_DISTANCE + cloth.max_point_spacing
+            np.linalg.norm(cloth.points(data.qpos) - pinch, axis=1).min() > _AWAY_DISTANCE + cloth.max_point_spacing
             for cloth in self._scene.cloths.values()
         )
 
     def _grasp_points(self, data: mujoco.MjData, number: int, cloth: ClothAddresses) -> bool:
         touching = (data.contact.flex == cloth.flex).any(axis=1)
         geoms = data.contact.geom[touching]
-        if not all(np.isin(geoms, finger).any() for finger in self._fingers[number]):
+        if not all(np.isin(geoms, finger).any() for finger in self._scene.finger_geoms[number]):
             return False
         arm = self._scene.arms[number]
         points = cloth.points(data.qpos)

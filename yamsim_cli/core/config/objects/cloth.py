@@ -31,8 +31,9 @@ class Cloth(Config):
         damping_s: time constant of stretching and bending.
         friction: sliding friction against the table, hands and itself.
         held: "points": a hand holds all points between its pads; "layers": also one point of each layer between them.
-        release: "touching": fingers that release the cloth still touch it; "clear": they do not touch it until they are
-            away from it, or close again. Closed fingers pass through the sheet, which would then hang on them.
+        release: "clear": fingers that release the cloth have no contacts with it until they close again or have left
+            it; "touching": they keep their contacts. Closed fingers pass through the sheet, so with "touching" the
+            cloth can hang on them when they open.
         solver: MuJoCo's solver in scenes with the cloth: `cg` takes half the time for large grids (21 x 21).
         checks: number of squares along x in a pattern of the second colour; 0 for none.
         colours: colours (RGB) of the fabric and of the checks.

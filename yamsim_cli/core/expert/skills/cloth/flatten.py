@@ -77,13 +77,14 @@ def flatten_cloth(
     layers: float = FLAT_LAYERS,
     displacement: float = FLAT_DISPLACEMENT,
     max_pulls: int = _MAX_PULLS,
+    missed: list[Array] | None = None,
 ) -> Iterator[MotionSegment]:
     """Pull a cloth until it lies flat or no pull makes it flatter.
 
     Flat cloth has at most a height of `layers` thicknesses, and points within `displacement`, a share of the side, of
-    their places.
+    their places. No pull grasps near the positions (3,) in `missed`, to which those of pulls without effect are added.
     """
-    cloth, missed = context.world.cloth_addresses(thing), list[Array]()
+    cloth, missed = context.world.cloth_addresses(thing), [] if missed is None else missed
     miss: SkillFailedError | None = None
     for _ in range(max_pulls):
         if is_flat(context, thing, layers, displacement):
