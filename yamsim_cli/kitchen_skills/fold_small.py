@@ -49,6 +49,7 @@ _FAR_LIMIT, _NEAR_LIMIT = 0.60, 0.16  # m ahead of the bases, of a pulled cloth'
 
 _FLAT_LAYERS = 5.0  # layer thicknesses, largest height of flat cloth
 _FLAT_DISPLACEMENT = 0.2  # share of the side, largest distance of a point from its place in flat cloth
+_MAX_TURN = math.radians(60)  # rad, of a slide
 _MAX_SLID_HEIGHT = 0.045  # m, of a cloth before and after a slide
 _MAX_PULLS, _MAX_SLIDES = 4, 2  # of crumpled cloth before the first fold
 _MIN_PULL_EFFECT = 0.002  # m, least displacement of a point along an axis that counts as an effect of a pull
@@ -220,9 +221,10 @@ def _with_forward_retreat(grasp: PointGrasp) -> PointGrasp:
 
 
 def _turns_to_axes(points: Array) -> list[float]:
-    """Return the turns to try, rad: to the nearest axis, a little beyond it, to the other axis, and none."""
+    """Return the turns to try, rad: to the nearest axis, a little beyond it, possibly to the other axis, and none."""
     heading = _sheet_heading(points)
-    return [-heading, -1.2 * heading, math.copysign(math.pi / 2, heading) - heading, 0.0]
+    to_other_axis = math.copysign(math.pi / 2, heading) - heading
+    return [-heading, -1.2 * heading, *([to_other_axis] if abs(to_other_axis) < _MAX_TURN else []), 0.0]
 
 
 def _pull_nearer_grasps(context: PlanningContext, thing: str) -> list[PointGrasp] | None:
