@@ -32,11 +32,11 @@ def test_two_hands_slide_cloth_to_where_it_is_wanted_and_nowhere_else(tmp_path: 
         def wanted(points: Array) -> bool:
             return abs(_turned(points)) < 4
 
-        grasps = find_slide_grasps(bench, "napkin", [np.radians(-turned)], wanted, 0.01)
+        grasps = find_slide_grasps(bench, "napkin", [np.radians(-turned)], wanted)
         assert grasps is not None and len(grasps) == 2 and all(grasp.placement.single_layer for grasp in grasps)
         after = predict_cloth_points(bench, "napkin", grasps, 0.0, SLIDE_SPEED)
         assert wanted(after) and height_range(after) < 0.01
         # It comes nearer to the arms by 10 cm: a pull moves it straight.
         assert np.ptp(after[..., 0]) < 0.22
         assert after[..., 0].mean() == pytest.approx(points[..., 0].mean() - 0.1, abs=0.02)
-        assert find_slide_grasps(bench, "napkin", [0.0], lambda points: False, 0.01) is None
+        assert find_slide_grasps(bench, "napkin", [0.0], lambda points: False) is None

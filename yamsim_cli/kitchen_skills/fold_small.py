@@ -24,7 +24,7 @@ from ..core.geometry.cloth_flattening import Point, height_range
 from ..core.geometry.se3 import Array
 from ..core.sim.sim_world import SimWorld
 from .pressing import press_point
-from .slide_grasps import SLIDE_SPEED, find_slide_grasps
+from .slide_grasps import MAX_SLID_HEIGHT, SLIDE_SPEED, find_slide_grasps
 
 _LIMIT_MARGIN = 0.98  # share of the goal's area that the skill aims at
 _AREA_MARGIN = 0.96  # predicted area as a share of the limit on the points' box, at which a fold suffices
@@ -50,7 +50,6 @@ _FAR_LIMIT, _NEAR_LIMIT = 0.60, 0.16  # m ahead of the bases, of a pulled cloth'
 _FLAT_LAYERS = 5.0  # layer thicknesses, largest height of flat cloth
 _FLAT_DISPLACEMENT = 0.2  # share of the side, largest distance of a point from its place in flat cloth
 _MAX_TURN = math.radians(60)  # rad, of a slide
-_MAX_SLID_HEIGHT = 0.045  # m, of a cloth before and after a slide
 _MAX_PULLS, _MAX_SLIDES = 4, 2  # of crumpled cloth before the first fold
 _MIN_PULL_EFFECT = 0.002  # m, least displacement of a point along an axis that counts as an effect of a pull
 
@@ -149,13 +148,13 @@ class FoldSmall(FoldedSize, Skill):
             foldable = self._is_foldable(context, thing, limit, points)
             if done_pulling and foldable:
                 return
-            if not foldable and slides < _MAX_SLIDES and height_range(points) < _MAX_SLID_HEIGHT:
+            if not foldable and slides < _MAX_SLIDES and height_range(points) < MAX_SLID_HEIGHT:
                 if unparked_hands(context):
                     # Hands that are still over the cloth block each other.
                     yield from open_and_park_hands(context)
                     continue
                 wanted = partial(self._is_foldable, context, thing, limit)
-                slide = find_slide_grasps(context, thing, _turns_to_axes(points), wanted, _MAX_SLID_HEIGHT)
+                slide = find_slide_grasps(context, thing, _turns_to_axes(points), wanted)
                 if slide is not None:
                     yield from carry_points(context, thing, slide, arch=0.0, speed=SLIDE_SPEED)
                     slides += 1

@@ -38,8 +38,8 @@ class _Press:
 def press_point(context: PlanningContext, point: Array, depth: float) -> Iterator[MotionSegment]:
     """Move the pinch frame of closed fingers from above a point (3,) in `world`, m, to `depth` (m) below it.
 
-    Of the free hands that reach the point, the one that moves least presses, and the others are parked. If no hand
-    reaches it, nothing moves.
+    The function chooses the free hand whose joints move least, and parks the other free hands first. If no hand reaches
+    the point, nothing moves.
     """
     presses = list(_presses(context, point, depth))
     if not presses:

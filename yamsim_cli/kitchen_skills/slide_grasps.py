@@ -15,6 +15,7 @@ from ..core.geometry.cloth_flattening import height_range
 from ..core.geometry.se3 import Array, rotation_z
 
 SLIDE_SPEED = 0.2  # m/s
+MAX_SLID_HEIGHT = 0.045  # m, of the highest point of a cloth over its lowest one, before and after a slide
 
 # m, slides towards the arms, in the order tried: a cloth that is pulled by its nearer side follows straight
 _SLIDE_LENGTHS = (0.1, 0.15, 0.05, 0.0, -0.05)
@@ -23,12 +24,11 @@ _MAX_TRIALS = 8  # slides that are simulated; each takes long
 
 
 def find_slide_grasps(
-    context: PlanningContext, thing: str, turns: Sequence[float], wanted: Callable[[Array], bool], max_height: float
+    context: PlanningContext, thing: str, turns: Sequence[float], wanted: Callable[[Array], bool]
 ) -> list[PointGrasp] | None:
     """Return grasps with which two hands slide a cloth to where `wanted` is true; None if no slide achieves that.
 
     The cloth may be turned by `turns`, rad. `wanted` gets its points (along y, along x, 3) in `world`, m.
-    After the slide, its highest point is less than `max_height` (m) above its lowest one.
     """
     points, trials = context.world.cloth_points(thing), 0
     rows, columns = points.shape[:2]
@@ -42,7 +42,7 @@ def find_slide_grasps(
             if (grasps := reachable_grasps(context, thing, placements)) is None:
                 continue
             after = predict_cloth_points(context, thing, grasps, 0.0, SLIDE_SPEED)
-            if height_range(after) < max_height and wanted(after):
+            if height_range(after) < MAX_SLID_HEIGHT and wanted(after):
                 return grasps
             trials += 1
             if trials == _MAX_TRIALS:

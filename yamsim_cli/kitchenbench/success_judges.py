@@ -9,7 +9,6 @@ from kitchenbench.sim import make_success_checker
 
 from ..core.episode.episode_rules import EndRule
 from ..core.geometry.se3 import Array
-from ..core.scene.compiled import GeomOwnerKind
 from ..core.sim.geom_shapes import geom_aabb
 from ..core.sim.sim_world import SimWorld
 from .benchmark_scene import BenchmarkScene
@@ -79,12 +78,9 @@ class KitchenWorld:
         }
         self.scene: SimWorld = motion.episode.world
         self._names = {*names, *compiled.regions}
-        fingers = np.isin(compiled.geom_kind, (GeomOwnerKind.LEFT_FINGER, GeomOwnerKind.RIGHT_FINGER)) & (
-            compiled.model.geom_contype != 0
-        )
         self._grippers = {
-            _GRIPPER_PREFIX + side: np.flatnonzero(fingers & (compiled.geom_arm == k))
-            for k, side in enumerate(realization.sides)
+            _GRIPPER_PREFIX + side: geoms[compiled.model.geom_contype[geoms] != 0]
+            for side, geoms in zip(realization.sides, map(np.concatenate, compiled.finger_geoms), strict=True)
         }
 
     def aabb(self, name: str) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from ..expert.planning.ik import Tolerance
 from ..expert.skills.hand import Hand
 from ..expert.skills.planning_context import PlanningContext
 from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
-from ..scene.compiled import CompiledScene, GeomOwnerKind
+from ..scene.compiled import CompiledScene
 from ..sim.sim_world import SimWorld
 
 TILT_ANGLES = tuple(math.radians(angle) for angle in (0, 30, 60))  # rad, of the hand from straight down
@@ -29,10 +29,7 @@ class ExpertPlanner:
 
     def __init__(self, config: RecordConfig, scene: CompiledScene, tools: tuple[ArmIkAndDynamics, ...]) -> None:
         self._config, self._scene, self._tools = config, scene, tools
-        fingers = (GeomOwnerKind.LEFT_FINGER, GeomOwnerKind.RIGHT_FINGER)
-        geoms = [
-            np.flatnonzero((scene.geom_arm == k) & np.isin(scene.geom_kind, fingers)) for k in range(len(scene.arms))
-        ]
+        geoms = [np.sort(np.concatenate(fingers)) for fingers in scene.finger_geoms]
         absent = [item.name for item in config.randomization.distractor_configs]
         # A filled object moves with its pieces, so they are no obstacles.
         absent += [scene.model.joint(k).name for joints in scene.pieces.values() for k in joints]

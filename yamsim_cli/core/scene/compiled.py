@@ -138,8 +138,8 @@ class ClothAddresses:
         flat_points: (n, 3) of the flat cloth in its frame, m; also in `world` at `qpos` 0.
         qpos, dof: addresses (n, 3) in `qpos` and `qvel`.
         constraints: ids (arms, n) of the equalities by which each hand can hold each point.
-        radius: half the thickness, m.
-        spacing: larger of the distances between neighbouring points along x and along y, m.
+        half_thickness: m.
+        max_point_spacing: larger of the distances between neighbouring points along x and along y, m.
         held_by_layers: whether a hand also grasps the nearest point of each layer between its pads.
         is_released_clear: whether fingers that released the cloth have no contacts with it until they leave it.
     """
